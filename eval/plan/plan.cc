@@ -460,14 +460,22 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
   UnitConfig common;
   common.latency = grid.latency;
   RS_RETURN_IF_ERROR(ApplyOverrides(Part(grid.overrides).others, common));
+  // In a process that has read a grid's file alone. What cannot be added is complained of below.
+  for (const std::string& folder : grid.libero_tasks) AddTaskFolder(folder).status().IgnoreError();
   for (const std::string& suite_name : grid.suites) {
     UnitConfig config = common;
     config.robot = grid.robot;
     config.suite = suite_name;
     config.tasks = grid.tasks;
     if (config.tasks.empty()) {
-      for (int task = 0; task < FindSuite(suite_name)->num_tasks; ++task)
-        config.tasks.push_back(task);
+      const SuiteInfo* suite = FindSuite(suite_name);
+      if (suite == nullptr) {
+        return absl::NotFoundError(absl::StrCat(
+            "suite '", suite_name, "' is unknown; known: ",
+            absl::StrJoin(SuitesOf(grid.robot), ", "), "; task folders that the grid names: ",
+            grid.libero_tasks.empty() ? "none" : absl::StrJoin(grid.libero_tasks, ", ")));
+      }
+      for (int task = 0; task < suite->num_tasks; ++task) config.tasks.push_back(task);
     }
     config.episodes = grid.episodes;
     config.first_initial_state = grid.first_initial_state;

@@ -13,6 +13,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/libero_task_folder.h"
 #include "common/unit/robots.h"
 #include "eval/plan/plan.h"
 
@@ -42,6 +43,19 @@ std::string FileOrWord(const std::string& value) {
   return absl::StrCat("file ", hash.ok() ? hash->substr(0, 16) : "that is gone");
 }
 
+// Of a task folder what decides is in its tasks and their initial states.
+std::string TaskFolderHash(const std::string& path) {
+  const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
+  if (!folder.ok()) return "folder that is gone";
+  std::string hashes;
+  for (const std::string& task : folder->tasks) {
+    for (const std::string& file :
+         {absl::StrCat(folder->path, "/", task, ".bddl"), InitialStatesOf(*folder, task)})
+      absl::StrAppend(&hashes, Sha256OfFile(file).value_or("none"), "\n");
+  }
+  return absl::StrCat("folder ", Sha256Hex(hashes).substr(0, 16));
+}
+
 // A unit without what ProtocolOf leaves out.
 UnitConfig ProtocolUnit(const UnitConfig& unit) {
   const UnitConfig usual;
@@ -52,6 +66,7 @@ UnitConfig ProtocolUnit(const UnitConfig& unit) {
   config.libero_root.clear();
   config.robosuite_root.clear();
   config.libero_fixtures = FileOrWord(config.libero_fixtures);
+  if (!config.libero_tasks.empty()) config.libero_tasks = TaskFolderHash(config.libero_tasks);
   config.remote = {};
   config.suite = usual.suite, config.severity = usual.severity, config.seed = usual.seed;
   config.videos = usual.videos, config.method = usual.method;

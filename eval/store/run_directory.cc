@@ -195,6 +195,8 @@ absl::StatusOr<std::set<std::string>> RunDirectory::PlannedIds(
       if (IsScenarioFile(scenario) && Exists(KeptScenario(scenario)))
         scenario = KeptScenario(scenario);
     }
+    // They decide nothing in an id, and a task folder may be gone.
+    if (grid.tasks.empty()) grid.tasks = {0};
     RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
     for (const PlannedUnit& unit : units) {
       const std::string older = OlderUnitId(unit.config);

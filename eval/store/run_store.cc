@@ -46,9 +46,10 @@ auto CanonicalKey(const UnitConfig& config) {
   }());
   static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());  // then arms
   static const auto& methods = *new std::vector<std::string>(MethodNames());
-  return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
-                    ScenarioLabel(config.scenario), config.severity, config.policy,
-                    IndexOf(methods, config.method->method), config.seed);
+  return std::tuple(IndexOf(suites, config.suite), config.suite,
+                    IndexOf(scenarios, config.scenario), ScenarioLabel(config.scenario),
+                    config.severity, config.policy, IndexOf(methods, config.method->method),
+                    config.seed);
 }
 
 std::string CsvCell(const json& value) {

@@ -154,6 +154,7 @@ std::string StoredUnit::Fingerprint() const {
   UnitConfig config = inspection.unit.config;
   config.libero_root.clear();
   config.robosuite_root.clear();
+  config.libero_tasks.clear();
   config.scenario = ScenarioLabel(config.scenario);
   config.policy = PolicyLabel(config.policy);
   return absl::StrCat(Sha256Hex(DumpConfig(config)), " ", inspection.episodes_sha256, " ",

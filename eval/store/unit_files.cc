@@ -11,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/json_text.h"
+#include "common/libero_task_folder.h"
 #include "common/records/json_record.h"
 #include "common/suites.h"
 #include "common/unit/unit_directory.h"
@@ -58,9 +59,8 @@ class UnitReader {
     }
     UnitResult& unit = result_.unit;
     unit.config = *std::move(config);
-    const SuiteInfo* suite = FindSuite(unit.config.suite);
-    if (suite == nullptr) {
-      Damage(absl::StrCat(file, ": suite '", unit.config.suite, "' is unknown"));
+    if (const absl::Status status = FillTasks(unit.config); !status.ok()) {
+      Damage(absl::StrCat(file, ": ", status.message()));
       return false;
     }
     if (const std::string named = UnitId(unit.config);
@@ -68,10 +68,28 @@ class UnitReader {
       Damage(absl::StrCat(file, " is that of unit ", named, ", its folder is called ", unit.id,
                           "; a unit lies under its own name, and once"));
     }
-    if (unit.config.tasks.empty()) {
-      for (int task = 0; task < suite->num_tasks; ++task) unit.config.tasks.push_back(task);
-    }
     return true;
+  }
+
+  // Lists the tasks where none means all of the suite.
+  absl::Status FillTasks(UnitConfig& config) const {
+    const SuiteInfo* suite = FindSuite(config.suite);
+    if (suite == nullptr && config.libero_tasks.empty())
+      return absl::NotFoundError(absl::StrCat("suite '", config.suite, "' is unknown"));
+    // A sweep lists them, so that a run is read where its task folder is gone.
+    if (!config.tasks.empty()) return absl::OkStatus();
+    int tasks = suite == nullptr ? 0 : suite->num_tasks;
+    if (!config.libero_tasks.empty()) {
+      const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(config.libero_tasks);
+      if (!folder.ok()) {
+        return absl::NotFoundError(absl::StrCat(
+            "tasks is empty, and libero_tasks cannot be read: ", folder.status().message(),
+            "; put the folder back or list the tasks"));
+      }
+      tasks = static_cast<int>(folder->tasks.size());
+    }
+    for (int task = 0; task < tasks; ++task) config.tasks.push_back(task);
+    return absl::OkStatus();
   }
 
   void ReadEpisodes() {
@@ -120,8 +138,7 @@ class UnitReader {
     const std::string file = folder_ + "/DONE";
     const std::string text = ReadFile(file).value_or("");
     const json done = json::parse(text, nullptr, false);
-    if (!done.is_object() || !done.contains("episodes_sha256") ||
-        !done["episodes_sha256"].is_string()) {
+    if (!done.is_object() || !done.contains("episodes_sha256")) {
       result_.without_checksum = true;
       return;
     }

@@ -309,6 +309,10 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   EXPECT_EQ(units[0].config.libero_tasks, "");
   grid.libero_tasks = {folder.string() + "_not"};
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("libero_tasks: "));
+  grid.suites = {"libero_goal_mine_not"};
+  EXPECT_THAT(std::string(ExpandUnits(grid).status().message()),
+              testing::AllOf(HasSubstr("suite 'libero_goal_mine_not' is unknown"),
+                             HasSubstr(folder.string() + "_not")));
 }
 
 TEST(Plan, LatencyIsPartOfEveryUnitAndStandsInNoneWithout) {

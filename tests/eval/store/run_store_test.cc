@@ -148,6 +148,16 @@ TEST(LoadRun, RefusesRecordsOfAnotherType) {
               HasSubstr("DONE: episodes_sha256 is 7, must be a text"));
 }
 
+TEST(EpisodeTable, SortsBySuiteAlsoWhereNoneIsOurs) {
+  RunData run;
+  for (const char* scenario : {"clean", "heavy_payload"}) {
+    for (const char* suite : {"their_tasks", "my_tasks"})
+      run.units.push_back(SyntheticUnit(scenario, "base", {1}, {}, suite));
+  }
+  SortUnits(run.units);
+  EXPECT_EQ(run.units[0].config.suite, "my_tasks");
+  EXPECT_EQ(run.units[1].config.suite, "my_tasks");
+}
 
 TEST(LoadRun, RefusesOnePolicyWithTwoWeights) {
   const std::string run = TestFolder();

@@ -169,6 +169,32 @@ TEST_F(Store, ScenarioFilesAreComparedByWhatTheyHold) {
   EXPECT_FALSE(fs::exists(folder_ + "/mixed"));
 }
 
+TEST_F(Store, RunsOfATaskFolderAreReadWithAndWithoutIt) {
+  const std::string tasks = folder_ + "/my_tasks";
+  fs::create_directories(tasks);
+  for (const char* task : {"my_tasks/one.bddl", "my_tasks/two.bddl"}) Write(task, "");
+  ASSERT_EQ(Run("sweep", "--libero-tasks '" + tasks +
+                             "' --libero-root here --robosuite-root here --episodes 2 --scenarios "
+                             "clean,heavy_payload --policies expert --methods base --no-report" +
+                             Out("b")),
+            0)
+      << output_;
+  const auto is_read = [this] {
+    EXPECT_EQ(StoreCommand("verify", {"b"}), 0) << output_;
+    EXPECT_THAT(output_, HasSubstr("2 finished units, 0 findings"));
+    EXPECT_EQ(StoreCommand("outcomes", {"b"}, Out("b.jsonl")), 0) << output_;
+    fs::remove_all(folder_ + "/merged");
+    EXPECT_EQ(StoreCommand("merge", {"b"}, Out("merged")), 0) << output_;
+    EXPECT_EQ(Run("report", "'" + folder_ + "/merged' --export '" + folder_ + "/b.json'"), 0)
+        << output_;
+    EXPECT_THAT(Text("b.json"), HasSubstr("\"suite\": \"my_tasks\""));
+    EXPECT_THAT(Text("b.json"), ::testing::Not(HasSubstr(folder_)));
+  };
+  is_read();
+  fs::remove_all(tasks);
+  is_read();
+}
+
 TEST_F(Store, OtherWeightsUnderTheSamePolicyAreNamed) {
   const std::string other = R"({"model_hash":"0123456789abcdef","policy":"nano","version":"0"})";
   ASSERT_EQ(Sweep("b", "--only method=ours"), 0) << output_;
