@@ -174,7 +174,8 @@ void CorrectAll(std::vector<ResultRow>& rows) {
     for (size_t c = 0; c < row.differences.size(); ++c) row.p_holm.push_back(adjusted[next++]);
 }
 
-void AddNotes(const std::vector<NamedResults>& labs, ResultComparison& result) {
+void AddNotes(const std::vector<NamedResults>& labs, const std::vector<bool>& same,
+              ResultComparison& result) {
   const NamedResults& first = labs[0];
   for (const NamedResults& lab : labs) {
     if (lab.file.robostress != first.file.robostress)
@@ -199,11 +200,18 @@ void AddNotes(const std::vector<NamedResults>& labs, ResultComparison& result) {
             : "",
         policy.noise_paired ? "." : ", sampling noise not paired."));
   }
-  const std::string text = WriteResultFile(first.file);
   for (size_t i = 1; i < labs.size(); ++i)
-    if (WriteResultFile(labs[i].file) == text)
+    if (same[i])
       result.notes.push_back(absl::StrCat(labs[i].name, " and ", first.name,
                                           " are the same results: nothing is compared."));
+}
+
+// Which files are the first's again: no independent sample.
+std::vector<bool> SameAsFirst(const std::vector<NamedResults>& labs) {
+  std::vector<bool> same(labs.size());
+  const std::string text = WriteResultFile(labs[0].file);
+  for (size_t i = 1; i < labs.size(); ++i) same[i] = WriteResultFile(labs[i].file) == text;
+  return same;
 }
 
 std::string RateText(const ResultCell& cell) {
@@ -239,6 +247,7 @@ absl::StatusOr<ResultComparison> CompareResults(const std::vector<NamedResults>&
     return absl::InvalidArgumentError(
         "one policy of one file: nothing to compare it with; give a second file or run directory");
   }
+  const std::vector<bool> same = SameAsFirst(labs);
   const ResultColumn& reference = result.columns[0];
   std::map<CellName, size_t> row_of;
   for (const ResultCell& cell : CellsOf(labs[reference.file], reference.policy)) {
@@ -268,7 +277,7 @@ absl::StatusOr<ResultComparison> CompareResults(const std::vector<NamedResults>&
         continue;
       }
       ResultRow& found = result.rows[row->second];
-      found.differences[c] = Difference(*found.cells[0], cell);
+      if (!same[column.file]) found.differences[c] = Difference(*found.cells[0], cell);
       found.cells[c] = cell;
     }
     for (const auto& [name, index] : row_of) {
@@ -280,8 +289,8 @@ absl::StatusOr<ResultComparison> CompareResults(const std::vector<NamedResults>&
   result.rows.erase(std::remove_if(result.rows.begin(), result.rows.end(),
                                    [](const ResultRow& row) {
                                      return std::none_of(
-                                         row.differences.begin(), row.differences.end(),
-                                         [](const auto& d) { return d.has_value(); });
+                                         row.cells.begin() + 1, row.cells.end(),
+                                         [](const auto& cell) { return cell.has_value(); });
                                    }),
                     result.rows.end());
   if (result.rows.empty()) {
@@ -289,7 +298,7 @@ absl::StatusOr<ResultComparison> CompareResults(const std::vector<NamedResults>&
         absl::StrCat("no result is comparable:\n  ", absl::StrJoin(result.refused, "\n  ")));
   }
   CorrectAll(result.rows);
-  AddNotes(labs, result);
+  AddNotes(labs, same, result);
   return result;
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <map>
 #include <set>
 #include <tuple>
 
@@ -10,6 +11,7 @@
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/json_text.h"
+#include "common/plain_line.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
 
@@ -189,7 +191,7 @@ class Fields {
     for (const auto& [name, item] : field->items()) {
       std::string checked;
       SetText(absl::StrCat(key, " (a key)"), name, checked, kMostText);
-      SetText(absl::StrCat(key, ".", checked), item, values[name], kMostText);
+      SetText(absl::StrCat(key, ".", Shown(name)), item, values[name], kMostText);
     }
   }
   void Objects(const char* key, const std::function<void(Fields&)>& read) {
@@ -212,6 +214,8 @@ class Fields {
     if (field == nullptr) return;
     if (!field->is_object()) return Complain(key, *field, "an object");
     for (const auto& [name, item] : field->items()) {
+      std::string checked;
+      SetText(absl::StrCat(key, " (a key)"), name, checked, kMostText);
       Fields fields(item, absl::StrCat(path_, key, ".", Shown(name), "."), complaints_);
       read(name, fields);
       fields.Finish();
@@ -235,8 +239,7 @@ class Fields {
     std::string text = value.is_string()
                            ? value.get<std::string>()
                            : value.dump(-1, ' ', true, json::error_handler_t::replace);
-    for (char& c : text)
-      if (static_cast<unsigned char>(c) < 0x20) c = ' ';
+    text = PlainLine(text);
     return text.size() > 60 ? text.substr(0, 60) + "..." : text;
   }
   std::string Here() const {
@@ -259,11 +262,12 @@ class Fields {
   void SetText(const std::string& key, const json& field, std::string& value, size_t most) {
     const std::string* text = field.get_ptr<const std::string*>();
     const bool plain =
-        text != nullptr && !text->empty() && text->size() <= most &&
-        std::all_of(text->begin(), text->end(), [](unsigned char c) { return c >= 0x20; });
+        text != nullptr && !text->empty() && text->size() <= most && IsPlainLine(*text);
     if (!plain)
       return Complain(key, field,
-                      absl::StrCat("text of 1 to ", most, " bytes without control characters"));
+                      absl::StrCat("text of 1 to ", most,
+                                   " bytes without control characters or marks that turn the "
+                                   "direction of writing"));
     value = *text;
   }
   void SetWhole(const char* key, const json& field, int& value, int low, int high) {
@@ -351,6 +355,12 @@ void ReadCell(Fields& fields, bool mean, ResultCell& cell) {
   fields.ObjectMap("versus_controls", [&](const std::string& control, Fields& of_control) {
     ReadDifference(of_control, cell, cell.versus_control[control]);
   });
+  if (mean && cell.interval) {
+    fields.Check(
+        cell.rate >= cell.interval->low - kRounding && cell.rate <= cell.interval->high + kRounding,
+        absl::StrCat("rate is ", cell.rate, ", outside its interval [", cell.interval->low, ", ",
+                     cell.interval->high, "]"));
+  }
   if (mean || counts.n == 0) return;
   fields.Check(std::abs(cell.rate - counts.rate()) < kRounding,
                absl::StrCat("rate is ", cell.rate, ", successes of n say ", counts.rate()));
@@ -408,6 +418,35 @@ void ReadAll(Fields& fields, ResultFile& file) {
   fields.Check(!file.results.empty(), "results is empty");
 }
 
+// A mean whose cells are all in the file is theirs, with equal weights.
+void CheckMeans(const ResultFile& file, std::vector<std::string>& complaints) {
+  using Place = std::tuple<std::string, std::string, std::string, std::string>;
+  std::map<Place, std::map<int, const ResultCell*>> levels;
+  for (const ResultCell& cell : file.results)
+    levels[{cell.policy, cell.suite, cell.method, cell.scenario}][cell.severity] = &cell;
+  for (size_t i = 0; i < file.means.size(); ++i) {
+    const ResultCell& mean = file.means[i];
+    double sum = 0;
+    int64_t n = 0;
+    size_t found = 0;
+    for (const std::string& scenario : mean.scenarios) {
+      const auto& cells = levels[{mean.policy, mean.suite, mean.method, scenario}];
+      auto cell = cells.find(mean.severity);
+      if (cell == cells.end()) cell = cells.find(0);  // equal at every level
+      if (cell == cells.end()) continue;
+      sum += cell->second->rate;
+      n += cell->second->counts.n;
+      ++found;
+    }
+    if (found != mean.scenarios.size() || complaints.size() > kMostComplaints) continue;
+    const double rate = sum / static_cast<double>(found);
+    if (std::abs(mean.rate - rate) < kRounding && mean.counts.n == n) continue;
+    complaints.push_back(absl::StrCat("means[", i, "]: rate is ", mean.rate, " and n ",
+                                      mean.counts.n, ", its scenarios' results say ", rate, " and ",
+                                      n));
+  }
+}
+
 // What is declared once and named once.
 class Declared {
  public:
@@ -424,8 +463,16 @@ class Declared {
       const std::string place = absl::StrCat(where, "[", i, "]");
       Has(place, "policy", cell.policy);
       Has(place, "method", cell.method);
+      for (const auto& [control, difference] : cell.versus_control) Has(place, "method", control);
       if (cell.suite != "all") Has(place, "protocol", cell.suite);
       if (!cell.is_mean()) Has(place, "scenario", Leveled(cell.scenario, cell.severity));
+      std::set<std::string> averaged;
+      for (const std::string& scenario : cell.scenarios) {
+        if (names_.count({"scenario", scenario}) == 0)  // not one that is equal at every level
+          Has(place, "scenario", Leveled(scenario, cell.severity));
+        if (!averaged.insert(scenario).second)
+          Say(absl::StrCat(place, " names scenario ", scenario, " twice"));
+      }
       if (!seen.insert({cell.policy, cell.suite, cell.scenario, cell.severity, cell.method}).second)
         Say(absl::StrCat(place, " stands twice: ", cell.policy, ", ", cell.suite, ", ",
                          cell.is_mean() ? "mean" : cell.scenario, ", ", cell.method));
@@ -512,6 +559,7 @@ absl::StatusOr<ResultFile> ParseResultFile(const std::string& source, const std:
     Declared declared(file, complaints);
     declared.Check(file.results, "results");
     declared.Check(file.means, "means");
+    CheckMeans(file, complaints);
   }
   if (complaints.empty()) return file;
   const bool more = complaints.size() > kMostComplaints;

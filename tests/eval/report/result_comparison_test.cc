@@ -121,8 +121,22 @@ TEST(CompareResults, SaysWhatReadersMustKnow) {
   EXPECT_THAT(notes, HasSubstr("Versions differ: ours 0.9, theirs 1.7."));
   EXPECT_THAT(notes, HasSubstr("theirs: policy nano, model m, sampling noise not paired."));
   EXPECT_THAT(notes, HasSubstr("theirs: A note of theirs."));
-  const auto same = Compare(Lab(20, 2), Lab(20, 2));
-  EXPECT_THAT(absl::StrJoin(same->notes, "\n"), HasSubstr("are the same results"));
+}
+
+TEST(CompareResults, ComparesNothingWithTheSameResults) {
+  const NamedResults ours{"ours", Exported(Lab(20, 2))}, again{"again", ours.file},
+      theirs{"theirs", Exported(Lab(20, 4))};
+  const auto same = CompareResults({ours, again, theirs});
+  ASSERT_TRUE(same.ok()) << same.status();
+  EXPECT_THAT(same->notes, Contains(HasSubstr("again and ours are the same results: nothing")));
+  for (const ResultRow& row : same->rows) {
+    EXPECT_TRUE(row.cells[1].has_value());
+    EXPECT_FALSE(row.differences[1].has_value());
+    EXPECT_TRUE(row.differences[2].has_value());
+  }
+  const auto alone = CompareResults({ours, again});
+  ASSERT_TRUE(alone.ok()) << alone.status();
+  EXPECT_EQ(alone->rows.size(), 4u);
 }
 
 TEST(CompareResults, TakesSeveralFilesAndPoliciesAndNeedsTwo) {

@@ -216,6 +216,26 @@ TEST(ResultFile, ComplaintsNameFieldValueAndLimit) {
                 f["means"][0]["interval"] = {0.9, 0.1};
               }),
               HasSubstr("null or two numbers in order, 0 to 1"));
+  EXPECT_THAT(Refusal([](json& f) {
+                f["means"][0]["interval"] = {0.9, 0.95};
+              }),
+              HasSubstr("means[0]: rate is 0.25, outside its interval [0.9, 0.95]"));
+  EXPECT_THAT(Refusal([](json& f) {
+                f["means"][0]["rate"] = 0.123;
+                f["means"][0]["interval"] = nullptr;
+              }),
+              HasSubstr("means[0]: rate is 0.123 and n 8, its scenarios' results say 0.25 and 8"));
+  EXPECT_THAT(Refusal([](json& f) { f["means"][0]["n"] = 16; }),
+              HasSubstr("rate is 0.25 and n 16"));
+  EXPECT_THAT(Refusal([](json& f) { f["means"][0]["scenarios"].push_back("rain"); }),
+              HasSubstr("means[0] names scenario rain at severity 5, which the file does not"));
+  EXPECT_THAT(Refusal([](json& f) { f["means"][0]["scenarios"].push_back("heavy_payload"); }),
+              HasSubstr("means[0] names scenario heavy_payload twice"));
+  EXPECT_THAT(Refusal([](json& f) {
+                json& cell = f["results"][3];
+                cell["versus_controls"]["rain"] = cell["versus_base"];
+              }),
+              HasSubstr("results[3] names method rain, which the file does not declare"));
   EXPECT_THAT(Refusal([](json& f) { f["results"][0]["host"] = "x"; }),
               HasSubstr("results[0].host is unknown in version 1"));
   EXPECT_THAT(Refusal([](json& f) { f["schema_version"] = 2; }),
@@ -224,6 +244,24 @@ TEST(ResultFile, ComplaintsNameFieldValueAndLimit) {
   EXPECT_THAT(Refusal([](json& f) { f["schema"] = "other"; }), HasSubstr("schema is other"));
   EXPECT_THAT(Refusal([](json& f) { f["results"] = json::array(); }),
               HasSubstr("results is empty"));
+}
+
+TEST(ResultFile, NothingReachesATerminalThatSteersIt) {
+  // DEL, C1 controls, a line separator, marks that turn the direction of writing.
+  for (const char* mark : {"\x7f", "\u0080", "\u009b31m", "\u2028", "\u202e", "\u2066", "\u2069"}) {
+    const std::string text = absl::StrCat("a", mark, "b");
+    for (const std::string& refusal :
+         {Refusal([&](json& f) { f["notes"][0] = text; }),
+          Refusal([&](json& f) { f["policies"][0]["label"] = text; }),
+          Refusal([&](json& f) { f[text] = 1; }), Refusal([&](json& f) {
+            json& cell = f["results"][3];
+            cell["versus_controls"][text] = cell["versus_base"];
+          })}) {
+      EXPECT_THAT(refusal, HasSubstr("theirs.json")) << text;
+      EXPECT_THAT(refusal, Not(HasSubstr(mark)));
+    }
+  }
+  EXPECT_EQ(Refusal([](json& f) { f["notes"][0] = "Größe \u00a0 \u2027 \u202f \u2065 π"; }), "");
 }
 
 TEST(ResultFile, TextThatIsNoFileOfOursIsRefusedWithWhatToGive) {

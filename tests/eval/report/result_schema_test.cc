@@ -53,10 +53,12 @@ TEST_F(ResultSchema, TakesWhatIsExported) {
 TEST_F(ResultSchema, RefusesWhatTheReaderRefuses) {
   const json whole = json::parse(WriteResultFile(Exported(RemoteRun())));
   const std::vector<std::pair<std::string, json>> wrong = {
-      {"/results/0/n", -1},       {"/results/0/rate", 1.5},        {"/results/0/successes", 0.5},
-      {"/schema_version", 2},     {"/results/0/severity", 6},      {"/results/0/host", "gpu"},
-      {"/policies/0/label", ""},  {"/results/3/versus_base/p", 2}, {"/methods/0/role", "best"},
-      {"/results", json::array()}};
+      {"/results/0/n", -1},          {"/results/0/rate", 1.5},
+      {"/results/0/successes", 0.5}, {"/schema_version", 2},
+      {"/results/0/severity", 6},    {"/results/0/host", "gpu"},
+      {"/policies/0/label", ""},     {"/notes/0", "a\u202eb"},
+      {"/notes/0", "a\u009bb"},      {"/results/3/versus_base/p", 2},
+      {"/methods/0/role", "best"},   {"/results", json::array()}};
   for (const auto& [place, value] : wrong) {
     json changed = whole;
     changed[json::json_pointer(place)] = value;
