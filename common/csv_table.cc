@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 
@@ -23,7 +24,9 @@ absl::StatusOr<CsvTable> CsvTable::Read(const std::string& path, uint64_t max_by
   table.text_ = std::make_shared<const std::string>(std::move(text));
   int line_number = 0;
   std::optional<absl::Status> short_line;
-  for (absl::string_view line : absl::StrSplit(*table.text_, '\n')) {
+  // Spreadsheets begin their files with a byte order mark, which nobody sees.
+  for (absl::string_view line :
+       absl::StrSplit(absl::StripPrefix(*table.text_, "\xEF\xBB\xBF"), '\n')) {
     ++line_number;
     if (absl::StripAsciiWhitespace(line).empty()) continue;
     if (short_line.has_value()) return *short_line;

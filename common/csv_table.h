@@ -11,8 +11,8 @@
 namespace robostress {
 
 // A table of comma-separated cells under a line of names, held in memory as its text. Lines may
-// end in CR LF, empty ones are passed over; cells have no quotes. Errors name file, line, column,
-// value and remedy.
+// end in CR LF, empty ones are passed over, as is a byte order mark; cells have no quotes. Errors
+// name file, line, column, value and remedy.
 class CsvTable {
  public:
   // What a last line with too few cells is: what a full disk left and no row, or an error.

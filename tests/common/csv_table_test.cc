@@ -28,6 +28,12 @@ TEST(CsvTableTest, ReadsColumnsByName) {
               HasSubstr("has no column 'dq'; its columns are t, q"));
 }
 
+TEST(CsvTableTest, PassesOverTheByteOrderMarkOfASpreadsheet) {
+  const auto table = Table("\xEF\xBB\xBFt,q\r\n0,1\r\n");
+  ASSERT_TRUE(table.ok()) << table.status();
+  EXPECT_THAT(table->names(), ElementsAre("t", "q"));
+}
+
 TEST(CsvTableTest, PassesOverALastLineThatADiskCutShortAndNoOther) {
   const auto table = Table("t,q\n0,1\n1,2\n2");
   ASSERT_TRUE(table.ok()) << table.status();
