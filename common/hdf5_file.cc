@@ -192,8 +192,8 @@ absl::StatusOr<Hdf5Dataset> Hdf5File::Describe(const std::string& name) const {
 }
 
 absl::StatusOr<std::vector<double>> Hdf5File::ReadDoubles(const std::string& name,
-                                                          std::vector<int64_t> shape,
-                                                          int64_t limit) const {
+                                                          std::vector<int64_t> shape, int64_t limit,
+                                                          NotFinite numbers) const {
   RS_ASSIGN_OR_RETURN(const Hdf5Dataset found, Describe(name));
   bool fits = found.shape.size() == shape.size();
   int64_t count = 1;
@@ -214,7 +214,7 @@ absl::StatusOr<std::vector<double>> Hdf5File::ReadDoubles(const std::string& nam
   }
   const auto bad =
       std::find_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); });
-  if (bad != values.end()) {
+  if (numbers == NotFinite::kRefused && bad != values.end()) {
     return Fail(absl::StrCat("holds ", *bad, " at ", bad - values.begin()), name);
   }
   return values;

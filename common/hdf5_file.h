@@ -39,9 +39,11 @@ class Hdf5File {
   absl::StatusOr<std::vector<std::string>> Children(const std::string& group) const;
   bool Has(const std::string& name) const;
   absl::StatusOr<Hdf5Dataset> Describe(const std::string& name) const;
-  // A whole dataset of exactly this shape (-1: any length up to `limit` rows) as doubles, finite.
+  enum class NotFinite { kRefused, kKept };
+  // A whole dataset of exactly this shape (-1: any length up to `limit` rows) as doubles.
   absl::StatusOr<std::vector<double>> ReadDoubles(const std::string& name,
-                                                  std::vector<int64_t> shape, int64_t limit) const;
+                                                  std::vector<int64_t> shape, int64_t limit,
+                                                  NotFinite numbers = NotFinite::kRefused) const;
   // Row `row` of a byte dataset [rows, ...], which must be `bytes` long.
   absl::Status ReadByteRow(const std::string& name, int64_t row, absl::Span<uint8_t> bytes) const;
   absl::StatusOr<std::string> StringAttribute(const std::string& object,

@@ -38,7 +38,9 @@ absl::StatusOr<JointColumns> Columns(const Hdf5File& file, const std::string& na
     return Wrong(file,
                  absl::StrCat(name, " is [", absl::StrJoin(dataset.shape, ","),
                               "], must be [rows, joints] with up to ", kMostWidth, " joints"));
-  RS_ASSIGN_OR_RETURN(columns.values, file.ReadDoubles(name, {-1, dataset.shape[1]}, kMostRows));
+  // A row with a number that is none is counted and left out, as in every recording.
+  RS_ASSIGN_OR_RETURN(columns.values, file.ReadDoubles(name, {-1, dataset.shape[1]}, kMostRows,
+                                                       Hdf5File::NotFinite::kKept));
   columns.joints = NumberedJoints(static_cast<size_t>(dataset.shape[1]));
   return columns;
 }

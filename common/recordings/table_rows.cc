@@ -38,6 +38,14 @@ std::vector<std::string> NumberedJoints(size_t count) {
   return names;
 }
 
+std::string UnitOfStep(double step) {
+  constexpr double kSlowest = 0.5;  // [s] arms are recorded faster
+  if (step < kSlowest) return "";
+  if (step < kSlowest * 1e3) return "milliseconds? multiply t by 0.001";
+  if (step < kSlowest * 1e6) return "microseconds? multiply t by 1e-6";
+  return "nanoseconds? multiply t by 1e-9";
+}
+
 std::vector<int64_t> TimesAtRate(size_t rows, double rate_hz) {
   std::vector<int64_t> times;
   for (size_t i = 0; i < rows; ++i)

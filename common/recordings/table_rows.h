@@ -24,6 +24,10 @@ absl::Status SendRows(size_t channel, const std::vector<int64_t>& times_ns, bool
 // "joint_0", "joint_1" ...: for joints without names.
 std::vector<std::string> NumberedJoints(size_t count);
 
+// The unit that times may have whose rows are `step` apart, as a question with the factor:
+// "milliseconds? multiply t by 0.001". Empty: seconds, rows come at more than 2 Hz.
+std::string UnitOfStep(double step);
+
 // i / rate_hz [ns].
 std::vector<int64_t> TimesAtRate(size_t rows, double rate_hz);
 

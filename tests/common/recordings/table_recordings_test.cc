@@ -60,7 +60,14 @@ TEST(CsvRecordingTest, ReadsTheColumnsOfARigsLog) {
   EXPECT_THAT(Refusal(TextFile(folder + "/b.csv", "time,q_x\n1,2\n")),
               HasSubstr("columns t [s] and q_JOINT are needed"));
   EXPECT_THAT(Refusal(TextFile(folder + "/c.csv", "t,q_x\n1e12,2\n2e12,3\n")),
-              HasSubstr("c.csv:2: t is 1e+12, must be seconds"));
+              HasSubstr("c.csv:2: t is 1e+12, must be seconds up to 4e+09; nanoseconds? multiply "
+                        "t by 1e-9"));
+  const auto without = RowsOf(TextFile(folder + "/d.csv", "t,q_x\n0,1\n1,nan\n2,\n3,4\n"));
+  ASSERT_TRUE(without.ok()) << without.status();
+  ASSERT_EQ(without->rows.size(), 4);
+  EXPECT_TRUE(std::isnan(without->rows[1].values.at("position x")));
+  EXPECT_TRUE(std::isnan(without->rows[2].values.at("position x")));
+  EXPECT_THAT(Refusal(TextFile(folder + "/e.csv", "t,q_x\n0,1\n1,x\n")), HasSubstr("q_x is 'x'"));
 }
 
 TEST(Hdf5RecordingTest, ReadsAlohaByItsNamesAndRate) {
@@ -70,6 +77,7 @@ TEST(Hdf5RecordingTest, ReadsAlohaByItsNamesAndRate) {
   std::vector<double> q(28);
   for (size_t i = 0; i < q.size(); ++i) q[i] = 0.1 * static_cast<double>(i);
   ASSERT_TRUE(file->WriteDoubles("observations/qpos", {2, 14}, q).ok());
+  q[3] = std::nan("");
   ASSERT_TRUE(file->WriteDoubles("action", {2, 14}, q).ok());
   ASSERT_TRUE(file->Publish().ok());
   const auto rows = RowsOf(path);
@@ -78,6 +86,7 @@ TEST(Hdf5RecordingTest, ReadsAlohaByItsNamesAndRate) {
   EXPECT_EQ(rows->rows[1].log_ns, 20'000'000);
   EXPECT_FALSE(rows->rows[1].stamped);
   EXPECT_EQ(rows->rows[1].values.at("position right_gripper"), q[27]);
+  EXPECT_TRUE(std::isnan(rows->rows[0].values.at("position left_forearm_roll")));
   EXPECT_EQ(rows->rows[1].values.at("command left_waist"), q[14]);
   EXPECT_THAT(rows->channels[0].times, HasSubstr("50 Hz, as ALOHA's code has it"));
   EXPECT_EQ(RowsOf(path, 100)->rows[1].log_ns, 10'000'000);
