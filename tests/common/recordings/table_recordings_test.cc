@@ -19,6 +19,7 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 using ::testing::Pair;
 
 std::string NewFolder(const std::string& name) {
@@ -76,8 +77,8 @@ TEST(Hdf5RecordingTest, ReadsAlohaByItsNamesAndRate) {
   ASSERT_TRUE(file.ok());
   std::vector<double> q(28);
   for (size_t i = 0; i < q.size(); ++i) q[i] = 0.1 * static_cast<double>(i);
-  ASSERT_TRUE(file->WriteDoubles("observations/qpos", {2, 14}, q).ok());
   q[3] = std::nan("");
+  ASSERT_TRUE(file->WriteDoubles("observations/qpos", {2, 14}, q).ok());
   ASSERT_TRUE(file->WriteDoubles("action", {2, 14}, q).ok());
   ASSERT_TRUE(file->Publish().ok());
   const auto rows = RowsOf(path);
@@ -85,8 +86,8 @@ TEST(Hdf5RecordingTest, ReadsAlohaByItsNamesAndRate) {
   ASSERT_EQ(rows->rows.size(), 2);
   EXPECT_EQ(rows->rows[1].log_ns, 20'000'000);
   EXPECT_FALSE(rows->rows[1].stamped);
-  EXPECT_EQ(rows->rows[1].values.at("position right_gripper"), q[27]);
   EXPECT_TRUE(std::isnan(rows->rows[0].values.at("position left_forearm_roll")));
+  EXPECT_EQ(rows->rows[1].values.at("position right_gripper"), q[27]);
   EXPECT_EQ(rows->rows[1].values.at("command left_waist"), q[14]);
   EXPECT_THAT(rows->channels[0].times, HasSubstr("50 Hz, as ALOHA's code has it"));
   EXPECT_EQ(RowsOf(path, 100)->rows[1].log_ns, 10'000'000);
@@ -135,23 +136,67 @@ TEST(LerobotRecordingTest, ReadsStateAndActionByNamesAndKeepsEpisodesApart) {
   const auto rows = RowsOf(LerobotSet("lerobot", kInfo));
   ASSERT_TRUE(rows.ok()) << rows.status();
   ASSERT_EQ(rows->rows.size(), 3);
-  EXPECT_THAT(rows->rows[1].values,
-              ElementsAre(Pair("command a.pos", 9), Pair("command b.pos", 10),
-                          Pair("position a.pos", 3), Pair("position b.pos", 4)));
+  EXPECT_THAT(rows->rows[1].values, ElementsAre(Pair("command a", 9), Pair("command b", 10),
+                                                Pair("position a", 3), Pair("position b", 4)));
   EXPECT_EQ(rows->rows[1].stamp_ns, 500'000'000);
   EXPECT_THAT(rows->episodes, ElementsAre("episode 0", "episode 1"));
   EXPECT_EQ(rows->channels[0].unit, "");
   EXPECT_THAT(rows->channels[0].caution, HasSubstr("an action is what was requested"));
 }
 
-TEST(LerobotRecordingTest, TakesNoActionOfOtherNamesForACommand) {
+absl::StatusOr<CollectedRows> RowsWith(const std::string& from, const std::string& to) {
   std::string info = kInfo;
-  info.replace(info.rfind("a.pos"), 5, "x");
-  const auto rows = RowsOf(LerobotSet("lerobot_names", info));
-  ASSERT_TRUE(rows.ok()) << rows.status();
-  EXPECT_THAT(rows->rows[0].values,
-              ElementsAre(Pair("position a.pos", 1), Pair("position b.pos", 2)));
-  EXPECT_THAT(rows->channels[0].caution, HasSubstr("their names are not those of the state"));
+  info.replace(info.rfind(from), from.size(), to);
+  return RowsOf(LerobotSet("lerobot_names", info));
+}
+
+TEST(LerobotRecordingTest, TakesCommandsByNameInAnyOrderAndNotesOtherNames) {
+  const auto turned =
+      RowsWith(R"(["a.pos", "b.pos"])", R"({"first": ["b"], "a_second": ["a.pos"]})");
+  ASSERT_TRUE(turned.ok()) << turned.status();
+  EXPECT_THAT(turned->rows[1].values, ElementsAre(Pair("command a", 10), Pair("command b", 9),
+                                                  Pair("position a", 3), Pair("position b", 4)));
+  EXPECT_THAT(turned->notes, IsEmpty());
+  const auto one = RowsWith("a.pos", "x.vel");
+  ASSERT_TRUE(one.ok()) << one.status();
+  EXPECT_THAT(one->rows[0].values,
+              ElementsAre(Pair("command b", 8), Pair("position a", 1), Pair("position b", 2)));
+  EXPECT_THAT(one->notes, ElementsAre(HasSubstr("info.json: features.action: not used: x.vel; ")));
+  const auto none = RowsWith(R"("a.pos", "b.pos")", R"("x", "y")");
+  ASSERT_TRUE(none.ok()) << none.status();
+  EXPECT_THAT(none->rows[0].values, ElementsAre(Pair("position a", 1), Pair("position b", 2)));
+  EXPECT_THAT(none->channels[0].caution, HasSubstr("none of their names is a joint's"));
+}
+
+TEST(LerobotRecordingTest, ReadsVelocitiesAndTorquesOfNamesThatSayThem) {
+  std::string info = kInfo;
+  info.replace(info.find("b.pos"), 5, "a.torque");
+  const auto torque = RowsOf(LerobotSet("lerobot_torque", info));
+  ASSERT_TRUE(torque.ok()) << torque.status();
+  EXPECT_THAT(torque->rows[0].values,
+              ElementsAre(Pair("command a", 7), Pair("effort a", 2), Pair("position a", 1)));
+  info.replace(info.find("a.torque"), 8, "base.vel");
+  const auto base = RowsOf(LerobotSet("lerobot_base", info));
+  ASSERT_TRUE(base.ok()) << base.status();
+  EXPECT_THAT(base->rows[0].values, ElementsAre(Pair("command a", 7), Pair("position a", 1)))
+      << "a base's velocity is no joint's";
+  EXPECT_THAT(base->notes, ElementsAre(HasSubstr("not used: base.vel"), HasSubstr("b.pos")));
+}
+
+TEST(LerobotRecordingTest, NotesWhatInfoCountsAndTheFilesLack) {
+  const auto notes = [](const std::string& counts) {
+    std::string info = kInfo;
+    info.replace(info.find("\"fps\""), 5, counts + ", \"fps\"");
+    const auto rows = RowsOf(LerobotSet("lerobot_missing", info));
+    EXPECT_TRUE(rows.ok()) << rows.status();
+    return rows.ok() ? rows->notes : std::vector<std::string>();
+  };
+  EXPECT_THAT(notes(R"("total_episodes": 2, "total_frames": 3)"), IsEmpty());
+  EXPECT_THAT(notes(R"("total_episodes": 6)"),
+              ElementsAre(HasSubstr("2 of 6 episodes are here, 2 to 5 are missing; download")));
+  EXPECT_THAT(notes(R"("total_episodes": 3)"), ElementsAre(HasSubstr("here, 2 is missing")));
+  EXPECT_THAT(notes(R"("total_episodes": 2, "total_frames": 9)"),
+              ElementsAre(HasSubstr("3 of 9 frames are here")));
 }
 
 TEST(LerobotRecordingTest, NamesTheFieldOfInfoThatIsWrong) {

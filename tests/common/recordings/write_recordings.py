@@ -141,8 +141,8 @@ def write_lerobot(path, version, **options):
                    "task": pa.array(["pick"] * length)}
         tables.append(pa.table(columns))
         for i in range(length):
-            values = {f"position {n}": float(x) for n, x in zip(names, state[i])}
-            values.update({f"command {n}": float(x) for n, x in zip(names, action[i])})
+            values = {f"position {n[:-4]}": float(x) for n, x in zip(names, state[i])}
+            values.update({f"command {n[:-4]}": float(x) for n, x in zip(names, action[i])})
             rows.append([round(float(time[i]) * 1e9), values])
     data = os.path.join(path, "data", "chunk-000")
     os.makedirs(data)
