@@ -118,6 +118,8 @@ int Main(int argc, char** argv) {
       ->add_option("--joints", line.options.joints,
                    "joints of the rig, with commas between them (default: those that move)")
       ->delimiter(',');
+  inspect->add_option("--topic", line.options.topic,
+                      "channel of the positions, where several hold the same joints");
   inspect->add_option("--unit", line.unit,
                       "of angles where the recording does not say it or is wrong: rad, deg, or a "
                       "factor to radians");

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <set>
 #include <utility>
 
 #include "absl/strings/ascii.h"
@@ -10,7 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/strip.h"
+#include "common/recordings/table_rows.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -21,13 +22,9 @@ constexpr double kShortestPiece = 20, kLongestPiece = 300;  // [s]
 constexpr double kNice = 0.005;        // a rate this near to a whole number is that number
 constexpr double kWithCommands = 1.1;  // so many times a row counts beside its command
 constexpr double kClearly = 3;         // times nearer is the command of a joint than of the next
-constexpr double kNear = 0.2;          // of a joint's span: so far off is a command at most, RMS
-constexpr int64_t kLeastRows = 50;     // of a log (measured_log.cc)
-
-// In a rig: LeRobot writes a joint's feature as "shoulder_pan.pos".
-std::string RigName(const std::string& joint) {
-  return std::string(absl::StripSuffix(joint, ".pos"));
-}
+constexpr double kSame = 1e-3;      // of a joint's span: so near is a command the position itself
+constexpr double kNear = 0.2;       // of a joint's span: so far off is a command at most, RMS
+constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
 
 // Whether a name can stand in the header of a CSV file and in a rig.
 bool IsPlainName(const std::string& name) {
@@ -35,32 +32,6 @@ bool IsPlainName(const std::string& name) {
     return absl::ascii_isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '.' || c == '-' ||
            c == '/';
   });
-}
-
-// The channel with the most rows of positions, a few less where commands stand in the same rows:
-// they are of the same time.
-int ChannelOfPositions(const RecordingStatistics& statistics) {
-  std::vector<double> weight(statistics.channels().size(), 1);
-  for (const SignalStatistics& signal : statistics.signals()) {
-    if (signal.description.quantity == JointQuantity::kCommand)
-      weight[signal.description.channel] = kWithCommands;
-  }
-  int best = -1;
-  double most = 0;
-  for (size_t i = 0; i < weight.size(); ++i) {
-    for (const auto& [set, count] : statistics.channels()[i].position_sets) {
-      const double rows = weight[i] * static_cast<double>(count);
-      if (rows <= most) continue;
-      most = rows;
-      best = static_cast<int>(i);
-    }
-  }
-  return best;
-}
-
-double NiceRate(double rate) {
-  const double nice = std::round(rate);
-  return nice >= 1 && std::abs(rate / nice - 1) < kNice ? nice : rate;
 }
 
 // The names of the channel's rows that are most.
@@ -75,6 +46,96 @@ double RootMean(const std::pair<double, int64_t>& sum) {
   return std::sqrt(sum.first / static_cast<double>(std::max<int64_t>(sum.second, 1)));
 }
 
+// Of every channel its rows of positions, a few more where commands stand in the same rows: they
+// are of the same time.
+std::vector<double> RowsOfPositions(const RecordingStatistics& statistics) {
+  std::vector<double> weight(statistics.channels().size(), 1), rows(weight.size(), 0);
+  for (const SignalStatistics& signal : statistics.signals()) {
+    if (signal.description.quantity == JointQuantity::kCommand)
+      weight[signal.description.channel] = kWithCommands;
+  }
+  for (size_t i = 0; i < rows.size(); ++i) {
+    for (const auto& [set, count] : statistics.channels()[i].position_sets)
+      rows[i] = std::max(rows[i], weight[i] * static_cast<double>(count));
+  }
+  return rows;
+}
+
+// Whether commands of another channel are this one's positions: so is a leader's arm in
+// teleoperation, which the follower is asked to follow.
+bool AreCommanded(const RecordingStatistics& statistics, size_t channel) {
+  for (const SignalStatistics& command : statistics.signals()) {
+    if (command.description.channel == channel) continue;
+    for (const auto& [index, sum] : command.off) {
+      const SignalStatistics& position = statistics.signals()[index];
+      if (position.description.channel == channel && sum.second >= kLeastRows &&
+          RootMean(sum) < kSame * position.span())
+        return true;
+    }
+  }
+  return false;
+}
+
+// Whether one of two channels holds all joints of the other.
+bool HoldSameJoints(const RecordingStatistics& statistics, size_t a, size_t b) {
+  const auto names = [&](size_t channel) {
+    std::set<std::string> result;
+    for (const size_t signal : MostSet(statistics.channels()[channel]))
+      result.insert(statistics.signals()[signal].description.joint);
+    return result;
+  };
+  const std::set<std::string> of_a = names(a), of_b = names(b);
+  return !of_a.empty() && !of_b.empty() &&
+         (std::includes(of_a.begin(), of_a.end(), of_b.begin(), of_b.end()) ||
+          std::includes(of_b.begin(), of_b.end(), of_a.begin(), of_a.end()));
+}
+
+// The channel of the positions: --topic, or that with most rows, but not a leader's. -1: none has
+// positions.
+absl::StatusOr<int> ChannelOfPositions(const RecordingStatistics& statistics,
+                                       const RecordingOptions& options, RecordingPlan* plan) {
+  const std::vector<double> rows = RowsOfPositions(statistics);
+  const auto name = [&](size_t i) { return statistics.channels()[i].description.name; };
+  int best = -1;
+  std::vector<std::string> known;
+  for (size_t i = 0; i < rows.size(); ++i) {
+    if (rows[i] == 0) continue;
+    known.push_back(name(i));
+    if (options.topic.empty() ? best < 0 || rows[i] > rows[static_cast<size_t>(best)]
+                              : options.topic == name(i))
+      best = static_cast<int>(i);
+  }
+  if (best < 0 && !options.topic.empty())
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--topic: '", options.topic,
+        "' holds no positions of joints; those that do: ", absl::StrJoin(known, ", ")));
+  if (best < 0) return best;
+  const auto first = static_cast<size_t>(best);
+  if (options.topic.empty() && AreCommanded(statistics, first)) {
+    double most = 0;
+    for (size_t i = 0; i < rows.size(); ++i) {
+      if (i == first || rows[i] <= std::max(most, static_cast<double>(kLeastRows)) ||
+          !HoldSameJoints(statistics, first, i) || AreCommanded(statistics, i))
+        continue;
+      most = rows[i];
+      best = static_cast<int>(i);
+      plan->channel_because = absl::StrCat("what ", name(first), " holds is what is commanded");
+    }
+  }
+  for (size_t i = 0; i < rows.size(); ++i) {
+    if (rows[i] > 0 && i != static_cast<size_t>(best) &&
+        HoldSameJoints(statistics, static_cast<size_t>(best), i))
+      plan->sentences.push_back(
+          absl::StrCat(name(i), " holds the same joints; --topic ", name(i), " takes those"));
+  }
+  return best;
+}
+
+double NiceRate(double rate) {
+  const double nice = std::round(rate);
+  return nice >= 1 && std::abs(rate / nice - 1) < kNice ? nice : rate;
+}
+
 // How far the nearest position of another joint is from a command.
 double NextNearest(const RecordingStatistics& statistics, const SignalStatistics& command,
                    const std::string& joint) {
@@ -87,26 +148,39 @@ double NextNearest(const RecordingStatistics& statistics, const SignalStatistics
 }
 
 // The command with the joint's name, of the position's own rows or else of the most; or one without
-// a name that stays near the joint, and clearly nearer than to the next.
-void FindCommand(const RecordingStatistics& statistics, size_t channel, PlannedJoint* joint) {
+// a name that stays near the joint, and clearly nearer than to the next. A command with the name
+// that is far from the joint is none: it may be a step of the position.
+void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint, RecordingPlan* plan) {
   const SignalStatistics& position = statistics.signals()[static_cast<size_t>(joint->q)];
+  const bool moves = position.span() * plan->to_rad >= kStill;
   double nearest = kNear * position.span();
   std::pair<bool, int64_t> best;  // of those with the name
+  std::string refused;
   for (size_t i = 0; i < statistics.signals().size(); ++i) {
     const SignalStatistics& signal = statistics.signals()[i];
     const auto off = signal.off.find(static_cast<size_t>(joint->q));
     if (signal.description.quantity != JointQuantity::kCommand || off == signal.off.end() ||
         signal.count < kLeastRows)
       continue;
+    const double distance = RootMean(off->second);
     if (!absl::StartsWith(signal.description.joint, "[")) {
-      const std::pair quality(signal.description.channel == channel, signal.count);
+      if (moves && distance > kNear * position.span()) {
+        refused = absl::StrFormat(
+            "the command of %s in %s stays %.3g from a joint that spans %.3g: a step, another "
+            "unit, "
+            "or another joint's? It is not taken",
+            signal.description.joint,
+            statistics.channels()[signal.description.channel].description.name, distance,
+            position.span());
+        continue;
+      }
+      const std::pair quality(signal.description.channel == plan->channel, signal.count);
       if (quality <= best) continue;
       best = quality;
       joint->command = static_cast<int>(i);
       joint->command_because = "it has the joint's name";
       continue;
     }
-    const double distance = RootMean(off->second);
     const double next = NextNearest(statistics, signal, position.description.joint);
     if (best.second > 0 || kClearly * distance > next || distance >= nearest) continue;
     nearest = distance;
@@ -116,6 +190,7 @@ void FindCommand(const RecordingStatistics& statistics, size_t channel, PlannedJ
     if (std::isfinite(next))
       absl::StrAppendFormat(&joint->command_because, ", %.3g from the next", next);
   }
+  if (joint->command < 0 && !refused.empty()) plan->sentences.push_back(std::move(refused));
 }
 
 absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& statistics,
@@ -125,12 +200,11 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
   std::vector<size_t> chosen;
   for (const std::string& name : options.joints) {
     const auto found = std::find_if(set.begin(), set.end(), [&](size_t i) {
-      return RigName(statistics.signals()[i].description.joint) == name;
+      return statistics.signals()[i].description.joint == name;
     });
     if (found == set.end()) {
       std::vector<std::string> known;
-      for (const size_t i : set)
-        known.push_back(RigName(statistics.signals()[i].description.joint));
+      for (const size_t i : set) known.push_back(statistics.signals()[i].description.joint);
       return absl::InvalidArgumentError(
           absl::StrCat("--joints: '", name, "' is not in ",
                        statistics.channels()[plan->channel].description.name,
@@ -148,7 +222,7 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
       plan->sentences.push_back(
           absl::StrFormat("%s stands still (it spans %.3g) and is not in the rig", name,
                           signal.span() * plan->to_rad));
-    } else if (!IsPlainName(RigName(name))) {
+    } else if (!IsPlainName(name)) {
       plan->sentences.push_back(
           absl::StrCat("joint '", name, "' is not in the rig: its name cannot stand in a table"));
     } else {
@@ -159,7 +233,7 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
 }
 
 // One input for all; joints that lack it are left out.
-void ChooseInput(RecordingPlan* plan) {
+void ChooseInput(const RecordingStatistics& statistics, RecordingPlan* plan) {
   const auto commanded =
       std::count_if(plan->joints.begin(), plan->joints.end(),
                     [](const PlannedJoint& joint) { return joint.command >= 0; });
@@ -168,9 +242,15 @@ void ChooseInput(RecordingPlan* plan) {
   plan->input = commanded > 0 ? JointInput::kPositionTarget : JointInput::kTorque;
   if (commanded == 0 && driven == 0) {
     plan->joints.clear();
-    plan->why_none =
-        "the recording has positions and neither the commands nor the torques that made them; "
-        "record the controller's state (JointTrajectoryControllerState) or the command's topic";
+    const bool asked = std::any_of(
+        statistics.signals().begin(), statistics.signals().end(),
+        [](const auto& s) { return s.description.quantity == JointQuantity::kCommand; });
+    plan->why_none = absl::StrCat(
+        asked ? "the recording's commands have not the names of these joints, or stay far from them"
+              : "the recording has positions and neither the commands nor the torques that made "
+                "them",
+        "; record the controller's state (JointTrajectoryControllerState) or the ",
+        asked ? "positions that the servos were sent" : "command's topic");
     return;
   }
   std::vector<PlannedJoint> kept;
@@ -211,7 +291,7 @@ void ChooseClock(const RecordingStatistics& statistics, const RecordingOptions& 
 absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistics,
                                             const RecordingOptions& options) {
   RecordingPlan plan;
-  const int channel = ChannelOfPositions(statistics);
+  RS_ASSIGN_OR_RETURN(const int channel, ChannelOfPositions(statistics, options, &plan));
   if (channel < 0) {
     plan.why_none = "no channel holds positions of joints that can be read";
     return plan;
@@ -239,7 +319,7 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
   for (const size_t signal : chosen) {
     const std::string& name = statistics.signals()[signal].description.joint;
     PlannedJoint joint;
-    joint.name = RigName(name);
+    joint.name = name;
     joint.q = static_cast<int>(signal);
     joint.dq = statistics.Find(plan.channel, name, JointQuantity::kVelocity);
     joint.tau = statistics.Find(plan.channel, name, JointQuantity::kEffort);
@@ -247,14 +327,14 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
       joint.tau = -1;  // drivers fill in zeros
     if (joint.dq >= 0 && statistics.signals()[static_cast<size_t>(joint.dq)].span() == 0)
       joint.dq = -1;
-    FindCommand(statistics, plan.channel, &joint);
+    FindCommand(statistics, &joint, &plan);
     plan.joints.push_back(std::move(joint));
   }
   if (plan.joints.empty()) {
     plan.why_none = absl::StrCat("no joint of ", positions.description.name, " moves");
     return plan;
   }
-  ChooseInput(&plan);
+  ChooseInput(statistics, &plan);
   for (PlannedJoint& joint : plan.joints) {
     if (joint.command < 0) continue;
     joint.command_in_row =

@@ -12,6 +12,7 @@ namespace robostress::calibration {
 // What the user knows of a recording.
 struct RecordingOptions {
   std::vector<std::string> joints;  // empty: those that move, of the messages that are most
+  std::string topic;                // channel of the positions; empty: chosen
   // Factor from the recording's angles to radians (metres of a slide); 0: what the recording says.
   double to_rad = 0;
   double rate_hz = 0;  // of rows that have no times of their own; 0: what the file says
@@ -29,8 +30,9 @@ struct PlannedJoint {
 struct RecordingPlan {
   std::vector<PlannedJoint> joints;  // empty: no rig; why_none says why
   std::string why_none;
-  size_t channel = 0;     // of the positions
-  bool by_stamp = false;  // whether rows stand at header.stamp, else at the recorder's time
+  size_t channel = 0;           // of the positions
+  std::string channel_because;  // why not another one that holds the same joints; empty: no matter
+  bool by_stamp = false;        // whether rows stand at header.stamp, else at the recorder's time
   double rate_hz = 0;
   double made_up_rate_hz = 0;  // RecordingOptions::rate_hz
   double dt = 0;               // [s] median

@@ -168,6 +168,10 @@ std::string LimitsText(const RecordingStatistics& statistics, const RecordingPla
                                     [](const PlannedJoint& joint) { return joint.command >= 0; });
   const bool torques = std::any_of(plan.joints.begin(), plan.joints.end(),
                                    [](const PlannedJoint& joint) { return joint.tau >= 0; });
+  if (!statistics.channels().empty() && plan.rate_hz > 0)
+    absl::StrAppend(
+        &text, "  Positions: ", Printable(statistics.channels()[plan.channel].description.name),
+        plan.channel_because.empty() ? "" : ", because ", Printable(plan.channel_because), ".\n");
   if (!plan.joints.empty() && !torques)
     text += "  No torques: friction, payload and backlash show only through the servo's errors.\n";
   if (!plan.joints.empty() && !commands)

@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "absl/strings/str_split.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -177,6 +178,16 @@ JointMessageKind KindOfType(absl::string_view type) {
   return JointMessageKind::kNone;
 }
 
+bool IsCommandTopic(absl::string_view topic) {
+  const size_t slash = topic.rfind('/');
+  if (slash != absl::string_view::npos) topic.remove_prefix(slash + 1);
+  const std::vector<absl::string_view> words = absl::StrSplit(topic, '_');
+  return std::any_of(words.begin(), words.end(), [](absl::string_view word) {
+    return word == "command" || word == "commands" || word == "cmd" || word == "desired" ||
+           word == "target";
+  });
+}
+
 RecordedChannel DescribeTopic(const std::string& topic, const std::string& type) {
   RecordedChannel channel{topic, type, "", "rad", "REP 103 (metres at a slide)", "", true};
   switch (KindOfType(type)) {
@@ -184,7 +195,9 @@ RecordedChannel DescribeTopic(const std::string& topic, const std::string& type)
       return {topic, type, "", "", "", "", false};
     case JointMessageKind::kJointState:
       channel.caution =
-          "effort is what the driver puts there: torque, current, or a share of either";
+          IsCommandTopic(topic)
+              ? "commands by the topic's name; what the hardware clips it does not say"
+              : "effort is what the driver puts there: torque, current, or a share of either";
       break;
     case JointMessageKind::kControllerState:
       channel.caution =

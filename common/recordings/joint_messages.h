@@ -22,6 +22,9 @@ enum class JointMessageKind {
 };
 // "sensor_msgs/msg/JointState", with or without "msg/".
 JointMessageKind KindOfType(absl::string_view type);
+// Whether the last part of a topic's name says that it asks: a JointState below
+// "/arm/joint_command" (command, commands, cmd, desired, target) is one of commands.
+bool IsCommandTopic(absl::string_view topic);
 // What such a channel is, its unit, its caution.
 RecordedChannel DescribeTopic(const std::string& topic, const std::string& type);
 

@@ -78,9 +78,15 @@ absl::Status RosRecording::Take(size_t index, int64_t log_ns, absl::string_view 
     }
     if (read->stamped) row.stamp_ns = read->stamp_ns;
     row.stamped = read->stamped;
+    const bool asks =
+        topic.kind == JointMessageKind::kJointState && IsCommandTopic(topic.declared.name);
     for (const JointReading& reading : read->readings) {
+      // Velocities and torques that are asked for are no measurements, and no commands of
+      // positions.
+      if (asks && reading.quantity != JointQuantity::kPosition) continue;
       RS_ASSIGN_OR_RETURN(const size_t signal,
-                          rows_->Signal(topic.channel, reading.joint, reading.quantity));
+                          rows_->Signal(topic.channel, reading.joint,
+                                        asks ? JointQuantity::kCommand : reading.quantity));
       values_.push_back({signal, reading.value});
     }
   }
