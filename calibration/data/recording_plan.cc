@@ -310,10 +310,15 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
       return plan;
     }
   }
+  const std::string unit_of_t = positions.description.times.empty() ? UnitOfStep(plan.dt) : "";
   if (plan.rate_hz < 1 || plan.rate_hz > 1e5) {
-    plan.why_none = absl::StrFormat("rows come at %.4g Hz, a log has 1 to 100000", plan.rate_hz);
+    plan.why_none = absl::StrFormat("rows come at %.4g Hz, a log has 1 to 100000%s%s", plan.rate_hz,
+                                    unit_of_t.empty() ? "" : "; are times in ", unit_of_t);
     return plan;
   }
+  if (!unit_of_t.empty())
+    plan.sentences.push_back(
+        absl::StrFormat("rows are %.4g s apart: are times in %s", plan.dt, unit_of_t));
   RS_ASSIGN_OR_RETURN(const std::vector<size_t> chosen,
                       ChosenPositions(statistics, options, &plan));
   for (const size_t signal : chosen) {

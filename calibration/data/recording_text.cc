@@ -85,6 +85,10 @@ std::string UnitDoubt(const RecordingStatistics& statistics, const SignalStatist
   const double gain = logged.square > 0 ? logged.along / logged.square : 0;
   if (gain == 0 || std::abs(gain - 1) < kGainTolerance) return "";
   const std::string unit = UnitOfRatio(gain, kGainTolerance);
+  // A clock in milliseconds makes derivatives a thousandth of what they are.
+  if (std::abs(gain / 1000 - 1) < kGainTolerance)
+    return "velocity is 1000 times the position's derivative: is t in milliseconds? multiply t by "
+           "0.001; else the velocity is in thousandths: multiply it by 0.001";
   if (!unit.empty()) return absl::StrCat("the velocity's numbers are ", unit);
   return absl::StrFormat("velocity is %.3g times the position's derivative", gain);
 }
@@ -164,14 +168,14 @@ std::string LimitsText(const RecordingStatistics& statistics, const RecordingPla
                           "  Rows at %.4g Hz show motion up to about %.3g Hz; what is faster is "
                           "hidden or looks slower than it is.\n",
                           plan.rate_hz, plan.rate_hz / kRowsPerPeriod);
-  const bool commands = std::any_of(plan.joints.begin(), plan.joints.end(),
-                                    [](const PlannedJoint& joint) { return joint.command >= 0; });
-  const bool torques = std::any_of(plan.joints.begin(), plan.joints.end(),
-                                   [](const PlannedJoint& joint) { return joint.tau >= 0; });
   if (!statistics.channels().empty() && plan.rate_hz > 0)
     absl::StrAppend(
         &text, "  Positions: ", Printable(statistics.channels()[plan.channel].description.name),
         plan.channel_because.empty() ? "" : ", because ", Printable(plan.channel_because), ".\n");
+  const bool commands = std::any_of(plan.joints.begin(), plan.joints.end(),
+                                    [](const PlannedJoint& joint) { return joint.command >= 0; });
+  const bool torques = std::any_of(plan.joints.begin(), plan.joints.end(),
+                                   [](const PlannedJoint& joint) { return joint.tau >= 0; });
   if (!plan.joints.empty() && !torques)
     text += "  No torques: friction, payload and backlash show only through the servo's errors.\n";
   if (!plan.joints.empty() && !commands)

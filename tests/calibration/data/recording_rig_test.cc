@@ -24,6 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 using recording_test::CdrBytes;
 using recording_test::JointStateBytes;
+using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -59,7 +60,12 @@ class Recorder {
     messages_ +=
         recording_test::McapMessageRecord(3, static_cast<uint64_t>(log_ns), bytes.Message());
   }
-  std::string Write(const std::string& name) const {
+  // On a topic of its own: another arm, or commands with names.
+  void Other(int64_t log_ns, const recording_test::JointStateFields& fields) {
+    messages_ += recording_test::McapMessageRecord(4, static_cast<uint64_t>(log_ns),
+                                                   JointStateBytes(fields));
+  }
+  std::string Write(const std::string& name, const std::string& other = "/leader/joints") const {
     const std::string path = testing::TempDir() + "/" + name + ".mcap";
     std::ofstream(path, std::ios::binary)
         << recording_test::McapMagic()
@@ -69,6 +75,7 @@ class Recorder {
                                             KnownDefinitions(JointMessageKind::kArray)[0])
         << recording_test::McapChannelRecord(1, 1, "/joint_states")
         << recording_test::McapChannelRecord(2, 2, "/commands")
+        << recording_test::McapChannelRecord(4, 1, other)
         << recording_test::McapSchemaRecord(3, "control_msgs/msg/JointTrajectoryControllerState",
                                             KnownDefinitions(JointMessageKind::kControllerState)[2])
         << recording_test::McapChannelRecord(3, 3, "/controller_state")
@@ -184,6 +191,87 @@ TEST(RecordingRigTest, PrefersRowsInWhichCommandsStandBesidePositions) {
   EXPECT_TRUE(result.plan.joints[0].command_in_row);
   EXPECT_EQ(Column(result, "q_a")[0], Angle(21, 0.01));
   EXPECT_EQ(Column(result, "q_cmd_a")[0], Angle(21, 0.1));
+}
+
+// The leader's arm reports its joints as well, twice as often, and what it reports is commanded.
+TEST(RecordingRigTest, TakesTheArmThatIsCommandedAndNotTheOneThatLeads) {
+  for (const int often : {1, 2}) {
+    Recorder recorder;
+    for (int i = 0; i < 3000; ++i) {
+      const int64_t t = kStart + i * kTick;
+      for (int k = 0; k < often; ++k)
+        recorder.Other(t + k * kTick / 2, {t + k * kTick / 2, {"a"}, {Angle(i, 0.1)}});
+      recorder.Command(t + 1, {Angle(i, 0.1)});
+      recorder.JointState(t + 2, {t + 2, {"a"}, {Angle(i, 0)}});
+    }
+    const std::string recording = recorder.Write("teleoperation");
+    const Result result = Inspect(recording);
+    EXPECT_THAT(result.text,
+                HasSubstr("Positions: /joint_states, because what /leader/joints holds "
+                          "is what is commanded."));
+    EXPECT_THAT(result.text,
+                HasSubstr("/leader/joints holds the same joints; --topic /leader/joints takes"));
+    ASSERT_EQ(result.plan.joints.size(), 1);
+    EXPECT_EQ(Column(result, "q_a")[7], Angle(7, 0));
+    EXPECT_EQ(Column(result, "q_cmd_a")[7], Angle(7, 0.1));
+    RecordingOptions options;
+    options.topic = "/leader/joints";
+    EXPECT_THAT(Inspect(recording, options).text, HasSubstr("Positions: /leader/joints.\n"));
+    options.topic = "/commands";
+    RecordingStatistics statistics;
+    EXPECT_THAT(std::string(Plan(recording, options, &statistics).status().message()),
+                HasSubstr("--topic: '/commands' holds no positions of joints; those that do: "));
+  }
+}
+
+TEST(RecordingRigTest, TakesJointStatesForCommandsWhereTheTopicSaysSo) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.Other(t, {t, {"a"}, {Angle(i, 0.1)}});
+    recorder.JointState(t + 1, {t + 1, {"a"}, {Angle(i, 0)}});
+  }
+  const Result result = Inspect(recorder.Write("named_commands", "/arm/joint_command"), {});
+  ASSERT_EQ(result.plan.joints.size(), 1);
+  EXPECT_EQ(Column(result, "q_a")[7], Angle(7, 0));
+  EXPECT_EQ(Column(result, "q_cmd_a")[7], Angle(7, 0.1));
+}
+
+// LeRobot's actions may be steps of the position, under the joint's name.
+TEST(RecordingRigTest, TakesNoCommandOfTheNameThatIsFarFromTheJoint) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.Other(t, {t, {"a"}, {Angle(i + 1, 0) - Angle(i, 0)}});
+    recorder.JointState(t + 1, {t + 1, {"a"}, {Angle(i, 0)}});
+  }
+  const Result result = Inspect(recorder.Write("steps", "/arm/joint_command"), {});
+  EXPECT_THAT(result.plan.joints, IsEmpty());
+  EXPECT_THAT(result.text,
+              AllOf(HasSubstr("the command of a in /arm/joint_command stays 0.56"),
+                    HasSubstr("from a joint that spans 1.6: a step, another unit, or another "
+                              "joint's? It is not taken")));
+  EXPECT_THAT(result.plan.why_none, HasSubstr("or stay far from them"));
+}
+
+TEST(RecordingRigTest, AsksForTheUnitOfTimesThatAreFarApart) {
+  const auto table = [](double factor, int every) {
+    std::string text = "t,q_a,dq_a,q_cmd_a\n";
+    for (int i = 0; i < 2000; i += every)
+      absl::StrAppend(&text, 1e-3 * factor * i, ",", Angle(i, 0), ",", 16 * std::cos(0.02 * i), ",",
+                      Angle(i, 0.1), "\n");
+    const std::string path = testing::TempDir() + "/times.csv";
+    EXPECT_TRUE(WriteFileAtomically(path, text).ok());
+    return path;
+  };
+  EXPECT_THAT(Inspect(table(1e3, 1)).text,
+              AllOf(HasSubstr("rows are 1 s apart: are times in milliseconds? multiply t by 0.001"),
+                    HasSubstr("a: velocity is 1000 times the position's derivative: is t in "
+                              "milliseconds? multiply t by 0.001")));
+  EXPECT_THAT(Inspect(table(1e3, 10)).plan.why_none,
+              HasSubstr("rows come at 0.1 Hz, a log has 1 to 100000; are times in milliseconds? "
+                        "multiply t by 0.001"));
+  EXPECT_THAT(Inspect(table(1, 1)).text, Not(HasSubstr("milliseconds?")));
 }
 
 TEST(RecordingRigTest, TellsWhichCommandIsOfWhichJointByNearness) {
