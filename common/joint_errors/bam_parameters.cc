@@ -35,6 +35,7 @@ const std::vector<BamField>& BamFields() {
       {"kt", &P::kt, {1, 2, 3, 4, 5, 6}, true, false},
       {"R", &P::R, {1, 2, 3, 4, 5, 6}, true, false},
       {"armature", &P::armature, {1, 2, 3, 4, 5, 6}, true, false},
+      {"current_limit", &P::current_limit, {1, 2, 3, 4, 5, 6}, true, false},
       {"friction_base", &P::friction_base, {1, 2, 3, 4, 5, 6}},
       {"friction_viscous", &P::friction_viscous, {1, 2, 3, 4, 5, 6}},
       {"friction_stribeck", &P::friction_stribeck, {2, 4, 5, 6}},
@@ -54,8 +55,21 @@ const std::vector<BamField>& BamFields() {
 const std::map<std::string, const char*>& KnownUnused() {
   static const auto& known = *new std::map<std::string, const char*>{
       {"q_offset", "of BAM's test bench"},
-      {"command_delay", "of BAM's bus [s]; transport_delay adds yours"}};
+      {"command_delay", "of BAM's bus [s]; transport_delay adds yours"},
+      {"error_gain_ratio", "of the servo's controller: multiply the rig's kp by it"},
+      {"ratio", "of the servo's controller: multiply the rig's kp by it"},
+      {"max_torque", "of the servo's controller [Nm]: the rig's torque_limit"},
+      {"max_velocity",
+       "of the servo's controller [rad/s]: its target moves no faster; command no faster"}};
   return known;
+}
+
+// Whose control_unit() in BAM is "amps" (bam/erob, bam/feetech, bam/dynamixel) or "N.m"
+// (bam/unitree): their torque does not fall with speed as that of a motor at a voltage.
+bool IsVoltageControlled(const std::string& actuator) {
+  for (const char* other : {"erob80_50", "erob80_100", "feetech_hls", "xl330i", "unitree_go1"})
+    if (actuator == other) return false;
+  return true;
 }
 
 class BamReader {
@@ -218,12 +232,20 @@ absl::StatusOr<ScenarioFile> ScenarioOfBam(const BamParameters& p, const std::ve
 
 std::string RigJointOfBam(const BamParameters& p, absl::string_view joint) {
   std::string text = absl::StrCat("  - name: ", joint, "\n    input: position_target\n");
-  if (p.kt > 0 && p.R > 0)
+  if (!IsVoltageControlled(p.actuator)) {
+    const std::string limit = p.kt > 0 && p.current_limit > 0
+                                  ? absl::StrFormat(", torque_limit: %.9g", p.kt * p.current_limit)
+                                  : "";
+    absl::StrAppend(
+        &text, "    servo: {kp: FILL_IN, kd: FILL_IN", limit, "}  # [Nm/rad], [Nm s/rad]",
+        p.kt > 0 ? absl::StrFormat(": %.9g Nm/A times those in amperes", p.kt) : "", "\n");
+  } else if (p.kt > 0 && p.R > 0) {
     absl::StrAppend(&text, absl::StrFormat("    servo: {type: dc_motor, kp: FILL_IN, kt: %.9g, R: "
                                            "%.9g, vin: FILL_IN}  # [V/rad], [Nm/A], [ohm], [V]\n",
                                            p.kt, p.R));
-  else
+  } else {
     text += "    servo: {kp: FILL_IN, kd: FILL_IN}  # [Nm/rad], [Nm s/rad]\n";
+  }
   if (p.armature > 0)
     absl::StrAppend(&text,
                     absl::StrFormat("    parameters: {armature: %.9g}  # [kg m^2]\n", p.armature));

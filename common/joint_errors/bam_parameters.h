@@ -26,6 +26,7 @@ struct BamParameters {
   std::string file, actuator;
   int model = 1;                          // 1 to 6
   double kt = 0, R = 0, armature = 0;     // [Nm/A], [ohm], [kg m^2]; 0: the file has none
+  double current_limit = 0;               // [A]; 0: the file has none
   double friction_base = 0;               // [Nm]
   double friction_stribeck = 0;           // [Nm]
   double friction_viscous = 0;            // [Nm s/rad]
@@ -70,8 +71,9 @@ BamDifference LargestBamDifference(const BamParameters& p, double load);
 // not hold a value, with its range.
 absl::StatusOr<ScenarioFile> ScenarioOfBam(const BamParameters& p, const std::vector<int>& joints,
                                            const RobotDescription& robot);
-// The joint entry of a calibration rig: servo, armature and effects; the gain kp [V/rad] and supply
-// vin [V] to be filled in, which BAM keeps with its logs.
+// The joint entry of a calibration rig: servo, armature and effects. To be filled in is what BAM
+// keeps with its logs: the gain kp [V/rad] and supply vin [V], or of a servo that BAM drives by a
+// current or a torque kp [Nm/rad] and kd [Nm s/rad].
 std::string RigJointOfBam(const BamParameters& p, absl::string_view joint);
 
 }  // namespace robostress

@@ -21,9 +21,11 @@ namespace robostress {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 namespace fs = std::filesystem;
 
 // Of no servo: numbers of this test.
@@ -189,6 +191,31 @@ TEST(BamParameters, SaysWhatIsLeftOut) {
   nlohmann::json none = BamJson(1);
   none["friction_base"] = none["friction_viscous"] = 0;
   EXPECT_THAT(EffectsOfBam(Servo(none)).effects, IsEmpty());
+}
+
+// bam/params/feetech_sts3215_7_4V/m6.json has these.
+TEST(BamParameters, TermsOfTheServosControllerAreNoneOfTheFrictionModels) {
+  nlohmann::json json = BamJson(6);
+  json.update({{"actuator", "sts3215"}, {"error_gain_ratio", 1.16}, {"max_velocity", 5.1}});
+  const std::vector<std::string> left_out = EffectsOfBam(Servo(json)).left_out;
+  EXPECT_THAT(left_out, Contains("error_gain_ratio 1.16: of the servo's controller: multiply the "
+                                 "rig's kp by it"));
+  EXPECT_THAT(left_out, Contains(HasSubstr("max_velocity 5.1: of the servo's controller")));
+  EXPECT_THAT(left_out, Not(Contains(HasSubstr("has no such term"))));
+}
+
+TEST(BamParameters, AServoThatIsDrivenByACurrentIsNoMotorAtAVoltage) {
+  nlohmann::json json = BamJson(3);
+  EXPECT_THAT(RigJointOfBam(Servo(json), "J"), HasSubstr("{type: dc_motor, kp: FILL_IN, kt: 1.5"));
+  json.update({{"actuator", "feetech_hls"}, {"current_limit", 2}});
+  EXPECT_THAT(RigJointOfBam(Servo(json), "J"),
+              HasSubstr("servo: {kp: FILL_IN, kd: FILL_IN, torque_limit: 3}  # [Nm/rad], "
+                        "[Nm s/rad]: 1.5 Nm/A times those in amperes\n"));
+  EXPECT_THAT(EffectsOfBam(Servo(json)).left_out, Not(Contains(HasSubstr("current_limit"))));
+  for (const char* actuator : {"erob80_50", "erob80_100", "xl330i"}) {
+    json["actuator"] = actuator;
+    EXPECT_THAT(RigJointOfBam(Servo(json), "J"), Not(HasSubstr("dc_motor"))) << actuator;
+  }
 }
 
 TEST(BamParameters, BadInputIsRefusedByFieldValueAndRemedy) {
