@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "calibration/data/local_polynomial.h"
 #include "calibration/data/log_faults.h"
@@ -24,6 +25,7 @@ constexpr int kSmoothing = MeasuredLog::kSmoothing;
 constexpr double kCorner = 1.0 / 8;      // of ddq dt^2
 constexpr double kGap = 5;               // in dt; more is refused
 constexpr double kRateError = 0.02;      // of the declared rate
+constexpr double kBesideATurn = 0.5;     // [rad] a row, of motion while an angle wraps
 constexpr double kSpanTolerance = 0.3;   // of a unit, from spans of a command and its answer
 constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
 constexpr double kSaturated = 0.02;      // share of rows at the largest torque
@@ -37,8 +39,8 @@ absl::StatusOr<RowClock> CheckClock(const CsvTable& table, const std::vector<dou
   std::vector<double> steps;
   for (size_t i = 1; i < t.size(); ++i) {
     if (t[i] <= t[i - 1])
-      return absl::InvalidArgumentError(absl::StrCat(table.Place(i), ": t is ", t[i], " after ",
-                                                     t[i - 1], "; the clock must increase"));
+      return absl::InvalidArgumentError(absl::StrFormat(
+          "%s: t is %.15g after %.15g; the clock must increase", table.Place(i), t[i], t[i - 1]));
     steps.push_back(t[i] - t[i - 1]);
   }
   const double dt = UpperMedian(steps);
@@ -78,14 +80,15 @@ void NoteClock(const RowClock& clock, size_t rows, double rate_hz,
                                  "there"));
 }
 
-// Takes jumps by a whole turn out of an angle.
-int Unwrap(std::vector<double>& angle) {
+// Takes jumps by a whole turn out of an angle that was read at `t`. Before anything is drawn
+// through its rows: a curve through a jump has values that no turn mends.
+int Unwrap(const std::vector<double>& t, double dt, std::vector<double>& angle) {
   int wraps = 0;
   double turn = 0;
   for (size_t i = 1; i < angle.size(); ++i) {
     angle[i] += turn;
-    const double jump = angle[i] - angle[i - 1];
-    if (std::abs(std::abs(jump) - 2 * M_PI) < 0.5) {
+    const double jump = angle[i] - angle[i - 1], rows = std::max(1.0, (t[i] - t[i - 1]) / dt);
+    if (std::abs(std::abs(jump) - 2 * M_PI) < std::min(kBesideATurn * rows, M_PI / 2)) {
       const double back = jump > 0 ? -2 * M_PI : 2 * M_PI;
       turn += back;
       angle[i] += back;
@@ -93,6 +96,20 @@ int Unwrap(std::vector<double>& angle) {
     }
   }
   return wraps;
+}
+
+void UnwrapJoint(const std::vector<double>& t, double dt, JointRecord& record,
+                 std::vector<std::string>& notes) {
+  int wraps = 0;
+  for (auto* angle : {&record.q, &record.q_motor, &record.command}) wraps += Unwrap(t, dt, *angle);
+  if (wraps == 0) return;
+  // Both may have begun on another turn.
+  for (auto* angle : {&record.q_motor, &record.command}) {
+    if (angle->empty()) continue;
+    const double turns = std::round((record.q.front() - angle->front()) / (2 * M_PI));
+    for (double& value : *angle) value += 2 * M_PI * turns;
+  }
+  notes.push_back(absl::StrCat(record.name, ": ", wraps, " jumps by a whole turn taken out"));
 }
 
 double RangeOf(const std::vector<double>& values) {
@@ -267,18 +284,6 @@ void UndrawSteps(JointRecord& record, std::vector<std::string>& notes) {
 absl::Status GateJoint(const std::string& file, const RigJoint& joint,
                        const std::vector<double>& logged_velocity, JointRecord& record, double dt,
                        std::vector<std::string>& notes) {
-  RS_RETURN_IF_ERROR(CheckAngles(file, joint, record));
-  int wraps = 0;
-  for (auto* angle : {&record.q, &record.q_motor, &record.command}) wraps += Unwrap(*angle);
-  if (wraps > 0) {
-    // Both may have begun on another turn.
-    for (auto* angle : {&record.q_motor, &record.command}) {
-      if (angle->empty()) continue;
-      const double turns = std::round((record.q.front() - angle->front()) / (2 * M_PI));
-      for (double& value : *angle) value += 2 * M_PI * turns;
-    }
-    notes.push_back(absl::StrCat(joint.name, ": ", wraps, " jumps by a whole turn taken out"));
-  }
   const std::vector<double>& motion =
       joint.input == JointInput::kTransmission ? record.q_motor : record.q;
   const SmoothSignal fit = SmoothMotion(motion, dt, kSmoothing);
@@ -379,6 +384,8 @@ absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declar
   if (clock.lost > 0) log.absent = resampling->absent();
   for (const RigJoint& joint : rig.joints) {
     RS_ASSIGN_OR_RETURN(JointRecord record, ReadJoint(channels, joint));
+    RS_RETURN_IF_ERROR(CheckAngles(declared.file, joint, record));
+    UnwrapJoint(t, log.dt, record, log.notes);
     for (auto* channel : {&record.tau, &record.temperature, &record.enable})
       if (resampling && !channel->empty()) *channel = resampling->Lines(*channel);
     for (auto* channel : {&record.command, &record.q, &record.q_motor})

@@ -148,6 +148,14 @@ TEST_F(LogGates, RefusesAClockThatStandsGoesBackOrLeavesAGap) {
               AllOf(HasSubstr("log.csv:102"), HasSubstr("a gap of 0.205 s"), HasSubstr("split")));
 }
 
+TEST_F(LogGates, NamesTimesOfAnEpochWithAllTheirDigits) {
+  const std::string text = "t,q_cmd_hinge,q_hinge\n1700000000.01,0,0\n1700000000.005,0,0\n";
+  std::string rows;
+  for (int k = 0; k < 60; ++k) absl::StrAppend(&rows, "18", 10000000 + k, ",0,0\n");
+  EXPECT_THAT(Refusal(text + rows),
+              HasSubstr("t is 1700000000.005 after 1700000000.01; the clock"));
+}
+
 TEST_F(LogGates, RefusesAClockInMillisecondsOrOfAnotherRate) {
   EXPECT_THAT(Refusal([](int, Row& row) { row.t *= 1000; }),
               HasSubstr("the times are milliseconds: multiply them by 0.001"));
@@ -185,6 +193,30 @@ TEST_F(LogGates, TakesWholeTurnsOutOfAnAngle) {
     EXPECT_LT(std::abs(record.command[k] - record.q[k]), 0.2);
   }
   EXPECT_THAT(log->notes, testing::Contains(HasSubstr("whole turn")));
+}
+
+// A curve drawn through a jump would have values that no turn mends.
+TEST_F(LogGates, TakesWholeTurnsOutBeforeRowsAreResampledOrFilledIn) {
+  for (const bool lost : {false, true}) {
+    const auto plain = [&](int k, Row& row) {
+      row.t = (k + (lost && k >= 150 ? 2 : 0)) * kDt + 0.2 * kDt * std::sin(37.0 * k);
+      row.command = 8 * Motion(row.t);
+      row.q = 8 * Motion(row.t - 0.01);
+    };
+    const auto wrapped = [&](int k, Row& row) {
+      plain(k, row);
+      row.command = std::remainder(row.command, 2 * M_PI);
+      row.q = std::remainder(row.q + 2, 2 * M_PI) - 2;
+    };
+    const auto expected = Read(plain), log = Read(wrapped);
+    ASSERT_TRUE(expected.ok()) << expected.status();
+    ASSERT_TRUE(log.ok()) << log.status();
+    EXPECT_THAT(log->notes, testing::Contains(HasSubstr("whole turn")));
+    for (int k = 0; k < log->rows; ++k) {
+      EXPECT_NEAR(log->joints[0].q[k], expected->joints[0].q[k], 1e-4) << k;
+      EXPECT_NEAR(log->joints[0].command[k], expected->joints[0].command[k], 1e-4) << k;
+    }
+  }
 }
 
 TEST_F(LogGates, RefusesDegreesBesideRadiansWithTheFactor) {
