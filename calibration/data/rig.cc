@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <optional>
 #include <set>
 
@@ -27,7 +29,8 @@ class Entry {
 
   template <class... Parts>
   absl::Status Error(const Parts&... parts) const {
-    return absl::InvalidArgumentError(absl::StrCat(path_, ": ", parts...));
+    return absl::InvalidArgumentError(
+        absl::StrCat(path_, path_.back() == ':' ? " " : ": ", parts...));
   }
   Entry operator[](const std::string& key) const {
     return Entry(node_.IsMap() ? node_[key] : YAML::Node(YAML::NodeType::Undefined),
@@ -42,6 +45,7 @@ class Entry {
 
   absl::Status CheckKeys(const std::vector<std::string>& allowed) const {
     if (!node_.IsMap()) return Error("must be a map with ", absl::StrJoin(allowed, ", "));
+    RS_RETURN_IF_ERROR(CheckOnce());
     for (const auto& pair : node_) {
       const std::string key = pair.first.Scalar();
       if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
@@ -55,6 +59,15 @@ class Entry {
     for (const auto& pair : node_) {
       if (!seen.insert(pair.first.Scalar()).second)
         return Error("key '", pair.first.Scalar(), "' is given twice; remove one");
+    }
+    return absl::OkStatus();
+  }
+  // Of a key that stands twice the reader of YAML takes one and says nothing.
+  absl::Status CheckOnce() const {
+    std::set<std::string> seen;
+    for (const auto& pair : node_) {
+      if (!seen.insert(pair.first.Scalar()).second)
+        return Error("key '", pair.first.Scalar(), "' stands twice; leave one");
     }
     return absl::OkStatus();
   }
@@ -77,6 +90,8 @@ class Entry {
     if (!node_.IsSequence()) return Error("must be a list of names");
     for (size_t i = 0; i < node_.size(); ++i) {
       RS_ASSIGN_OR_RETURN(std::string text, (*this)[i].Text());
+      if (std::find(texts.begin(), texts.end(), text) != texts.end())
+        return (*this)[i].Error("is '", text, "' again; leave one");
       texts.push_back(std::move(text));
     }
     return texts;
@@ -139,6 +154,26 @@ std::string NameOf(const std::vector<std::pair<std::string, E>>& choices, E valu
   return "";
 }
 
+// The bound of a value that the fit keeps too: what is no number of any machine. `path` as in
+// RigLog::overrides, without the joint.
+absl::Status CheckSign(const Entry& entry, const std::string& path, double value) {
+  static const auto& least_zero =
+      *new std::set<std::string>{"armature", "damping", "frictionloss", "servo.kd", kKnownMass};
+  static const auto& above_zero =
+      *new std::set<std::string>{"mass_scale", "torque_gain", "servo.kp", "servo.torque_limit",
+                                 "servo.kt",   "servo.R",     "servo.vin"};
+  bool open = above_zero.count(path) > 0, bound = open || least_zero.count(path) > 0;
+  const size_t dot = path.find('.');
+  if (const auto effect = FindEffect(path.substr(0, dot)); effect.ok() && dot != path.npos) {
+    if (const auto index = FindParameter(**effect, path.substr(dot + 1)); index.ok()) {
+      const EffectParameter& parameter = (*effect)->parameters[static_cast<size_t>(*index)];
+      bound = parameter.lower >= 0, open = parameter.inverse;
+    }
+  }
+  if (!bound || value > 0 || (!open && value == 0)) return absl::OkStatus();
+  return entry.Error("is ", value, ", must be ", open ? "above 0" : "at least 0");
+}
+
 absl::StatusOr<Servo> ReadServo(const Entry& entry) {
   Servo servo;
   RS_RETURN_IF_ERROR(
@@ -148,6 +183,7 @@ absl::StatusOr<Servo> ReadServo(const Entry& entry) {
   RS_RETURN_IF_ERROR(entry["kp"].Optional(0, servo.kp));
   RS_RETURN_IF_ERROR(entry["kd"].Optional(0, servo.kd));
   RS_RETURN_IF_ERROR(entry["torque_limit"].Optional(0, servo.torque_limit));
+  RS_RETURN_IF_ERROR(CheckSign(entry["torque_limit"], "servo.torque_limit", servo.torque_limit));
   RS_RETURN_IF_ERROR(entry["kt"].Optional(0, servo.kt));
   RS_RETURN_IF_ERROR(entry["R"].Optional(0, servo.R));
   RS_RETURN_IF_ERROR(entry["vin"].Optional(0, servo.vin));
@@ -167,7 +203,10 @@ absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
   RS_RETURN_IF_ERROR(entry.CheckKeys(keys));
   for (const EffectParameter& parameter : (*info)->parameters) {
     if (!entry[parameter.name].present()) continue;
-    RS_ASSIGN_OR_RETURN(effect.parameters[parameter.name], entry[parameter.name].Number());
+    RS_ASSIGN_OR_RETURN(const double value, entry[parameter.name].Number());
+    RS_RETURN_IF_ERROR(
+        CheckSign(entry[parameter.name], absl::StrCat(effect.type, ".", parameter.name), value));
+    effect.parameters[parameter.name] = value;
   }
   if (entry["partner"].present()) {
     RS_ASSIGN_OR_RETURN(effect.partner, entry["partner"].Text());
@@ -198,8 +237,10 @@ absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   if (parameters.present()) {
     RS_RETURN_IF_ERROR(parameters.CheckKeys(known));
     for (const auto& pair : parameters.node()) {
-      RS_ASSIGN_OR_RETURN(joint.parameters[pair.first.Scalar()],
-                          parameters[pair.first.Scalar()].Number());
+      const std::string name = pair.first.Scalar();
+      RS_ASSIGN_OR_RETURN(const double value, parameters[name].Number());
+      RS_RETURN_IF_ERROR(CheckSign(parameters[name], name, value));
+      joint.parameters[name] = value;
     }
   }
   if (entry["enable"].present()) {
@@ -236,6 +277,14 @@ absl::StatusOr<std::string> Expand(const Entry& entry, std::string text) {
   return text;
 }
 
+// Whose override `key` is; nullptr: no joint's.
+const RigJoint* JointOf(const std::vector<RigJoint>& joints, const std::string& key) {
+  const auto found = std::find_if(joints.begin(), joints.end(), [&](const RigJoint& joint) {
+    return absl::StartsWith(key, joint.name + ".");
+  });
+  return found == joints.end() ? nullptr : &*found;
+}
+
 absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::path& folder,
                                     const std::vector<RigJoint>& joints) {
   RigLog log;
@@ -253,15 +302,31 @@ absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::p
   RS_RETURN_IF_ERROR(overrides.CheckOnce());
   for (const auto& pair : overrides.node()) {
     const std::string key = pair.first.Scalar();
-    const bool known = std::any_of(joints.begin(), joints.end(), [&](const RigJoint& joint) {
-      return key.rfind(joint.name + ".", 0) == 0;
-    });
-    if (!known) return overrides.Error("'", key, "' begins with no joint of this rig");
+    const RigJoint* joint = JointOf(joints, key);
+    if (joint == nullptr) return overrides.Error("'", key, "' begins with no joint of this rig");
     RS_ASSIGN_OR_RETURN(log.overrides[key], overrides[key].Number());
-    if (absl::EndsWith(key, absl::StrCat(".", kKnownMass)) && log.overrides[key] < 0)
-      return overrides[key].Error("is ", log.overrides[key], " kg, must be at least 0");
+    RS_RETURN_IF_ERROR(
+        CheckSign(overrides[key], key.substr(joint->name.size() + 1), log.overrides[key]));
   }
   return log;
+}
+
+bool HaveSameContent(const std::string& a, const std::string& b) {
+  std::error_code error;
+  const auto size = std::filesystem::file_size(a, error);
+  if (error || size != std::filesystem::file_size(b, error) || error) return false;
+  std::ifstream first(a, std::ios::binary), second(b, std::ios::binary);
+  return std::equal(std::istreambuf_iterator<char>(first), std::istreambuf_iterator<char>(),
+                    std::istreambuf_iterator<char>(second));
+}
+
+// Whether two names are of one file, or the file of one is a copy of the other: what was fitted
+// would be held out.
+bool AreOneLog(const std::string& a, const std::string& b) {
+  std::error_code error;
+  const auto first = std::filesystem::weakly_canonical(a, error);
+  if (!error && first == std::filesystem::weakly_canonical(b, error) && !error) return true;
+  return HaveSameContent(a, b);
 }
 
 absl::Status CheckWhole(const Entry& root, const Rig& rig, RigLogs logs) {
@@ -270,15 +335,29 @@ absl::Status CheckWhole(const Entry& root, const Rig& rig, RigLogs logs) {
     if (!names.insert(joint.name).second)
       return root["joints"].Error("joint '", joint.name, "' is listed twice");
   }
-  std::set<std::string> files;
   bool any_fit = false;
-  for (const RigLog& log : rig.logs) {
-    if (!files.insert(log.file).second)
-      return root["logs"].Error("file '", log.file, "' is listed twice");
-    any_fit |= log.role == LogRole::kFit;
+  for (size_t i = 0; i < rig.logs.size(); ++i) {
+    for (size_t k = 0; k < i; ++k)
+      if (AreOneLog(rig.logs[i].file, rig.logs[k].file))
+        return root["logs"][i].Error("file '", rig.logs[i].file, "' is or copies '",
+                                     rig.logs[k].file, "' of logs[", k, "]; leave one");
+    any_fit |= rig.logs[i].role == LogRole::kFit;
   }
   if (!any_fit && logs == RigLogs::kNeeded)
     return root["logs"].Error("no log has role fit; nothing could be fitted");
+  return absl::OkStatus();
+}
+
+// A metric is of what the input compares.
+absl::Status CheckMetric(const Entry& type, const std::vector<RigJoint>& joints) {
+  const bool torque = absl::StartsWith(type.node().Scalar(), "torque_");
+  for (const RigJoint& joint : joints) {
+    if (torque != (joint.input == JointInput::kInverse))
+      return type.Error(
+          "is '", type.node().Scalar(), "', and input ", NameOf(kInputs, joint.input),
+          " of joint '", joint.name, "' compares ",
+          torque ? "positions: position_rmse, position_mae" : "torques: torque_rmse, torque_mae");
+  }
   return absl::OkStatus();
 }
 
@@ -335,6 +414,7 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file, RigLogs
   if (metric.present()) {
     RS_RETURN_IF_ERROR(metric.CheckKeys({"type", "window_s", "unit"}));
     RS_RETURN_IF_ERROR(metric["type"].Choice(kMetrics, rig.metric.type));
+    if (metric["type"].present()) RS_RETURN_IF_ERROR(CheckMetric(metric["type"], rig.joints));
     RS_RETURN_IF_ERROR(metric["window_s"].Optional(0, rig.metric.window_s));
     if (metric["unit"].present()) {
       RS_ASSIGN_OR_RETURN(rig.metric.unit, metric["unit"].Text());
@@ -428,7 +508,8 @@ std::string WriteRig(const Rig& rig) {
   out << YAML::EndSeq;
   out << YAML::Key << "metric" << YAML::Value << YAML::Flow << YAML::BeginMap;
   if (rig.metric.type == Metric::Type::kMeanAbsolute)
-    out << YAML::Key << "type" << YAML::Value << "position_mae";
+    out << YAML::Key << "type" << YAML::Value
+        << (rig.joints.front().input == JointInput::kInverse ? "torque_mae" : "position_mae");
   out << YAML::Key << "window_s" << YAML::Value << rig.metric.window_s;
   if (!rig.metric.unit.empty()) out << YAML::Key << "unit" << YAML::Value << rig.metric.unit;
   out << YAML::EndMap;
@@ -442,24 +523,22 @@ absl::StatusOr<RigLog> ParseRigLog(const std::string& text, const Rig& rig) {
   RigLog log;
   log.file = parts[0];
   for (const RigLog& other : rig.logs) {
-    std::error_code error;
-    if (other.file == log.file || std::filesystem::equivalent(other.file, log.file, error))
-      return absl::InvalidArgumentError(
-          absl::StrCat("--add-log ", text, ": ", rig.file, " lists this file already"));
+    if (AreOneLog(other.file, log.file))
+      return absl::InvalidArgumentError(absl::StrCat("--add-log ", text, ": ", rig.file,
+                                                     " lists this file already, as ", other.file));
   }
   for (size_t i = 1; i < parts.size(); ++i) {
     const std::pair<std::string, std::string> pair =
         absl::StrSplit(parts[i], absl::MaxSplits('=', 1));
     double value = 0;
-    const bool known = std::any_of(
-        rig.joints.begin(), rig.joints.end(),
-        [&](const RigJoint& joint) { return pair.first.rfind(joint.name + ".", 0) == 0; });
-    if (!known || !absl::SimpleAtod(pair.second, &value) || !std::isfinite(value) ||
-        (absl::EndsWith(pair.first, absl::StrCat(".", kKnownMass)) && value < 0)) {
+    const RigJoint* joint = JointOf(rig.joints, pair.first);
+    if (joint == nullptr || !absl::SimpleAtod(pair.second, &value) || !std::isfinite(value)) {
       return absl::InvalidArgumentError(absl::StrCat(
           "--add-log ", text, ": '", parts[i], "' must be JOINT.PARAMETER=NUMBER with a joint of ",
           rig.file, ", as elbow.known_mass=0.3"));
     }
+    RS_RETURN_IF_ERROR(CheckSign(Entry({}, absl::StrCat("--add-log ", text, ": ", pair.first)),
+                                 pair.first.substr(joint->name.size() + 1), value));
     log.overrides[pair.first] = value;
   }
   return log;

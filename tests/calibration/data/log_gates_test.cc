@@ -356,7 +356,7 @@ TEST_F(RigGates, RefusesWhatItDoesNotKnowAndSaysWhatItDoes) {
   EXPECT_THAT(message(kJoint, "file: a.csv, role: held_out"), HasSubstr("no log has role fit"));
   EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {elbow.servo.kp: 3}"), HasSubstr("elbow"));
   EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.known_mass: -1}"),
-              HasSubstr("hinge.known_mass: is -1 kg, must be at least 0"));
+              HasSubstr("hinge.known_mass: is -1, must be at least 0"));
   EXPECT_THAT(message("name: hinge, input: position_target, servo: {kp: .nan}", "file: a.csv"),
               HasSubstr("finite"));
   EXPECT_THAT(message("name: hinge, name: elbow, input: torque", "file: a.csv"),
@@ -366,6 +366,78 @@ TEST_F(RigGates, RefusesWhatItDoesNotKnowAndSaysWhatItDoes) {
   EXPECT_THAT(std::string(Read("name: a\n---\nname: b\n").status().message()),
               HasSubstr("a second document begins before line 3"));
   EXPECT_THAT(std::string(Read("name: [").status().message()), HasSubstr("not YAML"));
+}
+
+TEST_F(RigGates, RefusesKeysThatStandTwice) {
+  const auto message = [&](const std::string& joint, const std::string& log) {
+    return std::string(Read(Text(joint, log)).status().message());
+  };
+  EXPECT_THAT(
+      message("name: hinge, input: position_target, servo: {kp: 20, kp: 2000}", "file: a.csv"),
+      HasSubstr("joints[0].servo: key 'kp' stands twice; leave one"));
+  EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.damping: 1, hinge.damping: 2}"),
+              HasSubstr("logs[0].overrides: key 'hinge.damping' stands twice"));
+  const auto metrics =
+      Read(Text(kJoint, "file: a.csv") + "metric: {unit: m}\nmetric: {unit: rad}\n");
+  EXPECT_THAT(std::string(metrics.status().message()),
+              HasSubstr("rig.yaml: key 'metric' stands twice"));
+}
+
+TEST_F(RigGates, RefusesValuesThatNoMachineHas) {
+  const auto of_joint = [&](const std::string& text) {
+    return std::string(Read(Text(absl::StrCat("name: hinge, input: torque, ", text), "file: a.csv"))
+                           .status()
+                           .message());
+  };
+  EXPECT_THAT(of_joint("parameters: {damping: -5}"),
+              HasSubstr("joints[0].parameters.damping: is -5, must be at least 0"));
+  EXPECT_THAT(of_joint("parameters: {frictionloss: -0.2}"), HasSubstr("must be at least 0"));
+  EXPECT_THAT(of_joint("parameters: {mass_scale: 0}"), HasSubstr("is 0, must be above 0"));
+  EXPECT_THAT(of_joint("servo: {kp: 1, torque_limit: 0}"),
+              HasSubstr("joints[0].servo.torque_limit: is 0, must be above 0"));
+  EXPECT_THAT(of_joint("effects: [{type: stribeck_friction, Fc: -1}]"),
+              HasSubstr("joints[0].effects[0].Fc: is -1, must be at least 0"));
+  EXPECT_EQ(of_joint("parameters: {damping: 0, torque_offset: -1}"), "");
+  EXPECT_EQ(of_joint("effects: [{type: encoder_offset, offset: -1}]"), "");
+  const auto of_log = [&](const std::string& overrides) {
+    return std::string(Read(Text(kJoint, absl::StrCat("file: a.csv, overrides: {", overrides, "}")))
+                           .status()
+                           .message());
+  };
+  EXPECT_THAT(of_log("hinge.servo.kp: -20"),
+              HasSubstr("logs[0].overrides.hinge.servo.kp: is -20, must be above 0"));
+  EXPECT_THAT(of_log("hinge.backlash.B: -1"), HasSubstr("is -1, must be at least 0"));
+}
+
+TEST_F(RigGates, RefusesALogThatIsFittedAndHeldOutUnderTwoNames) {
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/a.csv", "t\n1\n").ok());
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/copy.csv", "t\n1\n").ok());
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/other.csv", "t\n2\n").ok());
+  const auto with = [&](const std::string& file) {
+    return Read(Text(kJoint, "file: a.csv") + "  - {file: " + file + ", role: held_out}\n");
+  };
+  for (const char* same : {"a.csv", "./a.csv", "../rig_gates/a.csv", "copy.csv"})
+    EXPECT_THAT(std::string(with(same).status().message()),
+                AllOf(HasSubstr("logs[1]: file '"), HasSubstr("is or copies '"),
+                      HasSubstr("a.csv' of logs[0]; leave one")))
+        << same;
+  EXPECT_TRUE(with("other.csv").ok());
+}
+
+TEST_F(RigGates, RefusesAMetricOfWhatTheInputDoesNotCompare) {
+  const auto message = [&](const std::string& input, const std::string& metric) {
+    const std::string joint = "name: hinge, servo: {kp: 10}, input: " + input;
+    return std::string(
+        Read(Text(joint, "file: a.csv") + "metric: {type: " + metric + "}\n").status().message());
+  };
+  EXPECT_THAT(message("position_target", "torque_rmse"),
+              HasSubstr("metric.type: is 'torque_rmse', and input position_target of joint 'hinge' "
+                        "compares positions: position_rmse, position_mae"));
+  EXPECT_THAT(message("inverse", "position_mae"), HasSubstr("compares torques: torque_rmse"));
+  const auto rig =
+      Read(Text("name: hinge, input: inverse", "file: a.csv") + "metric: {type: torque_mae}\n");
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  EXPECT_THAT(WriteRig(*rig), HasSubstr("torque_mae"));
 }
 
 TEST_F(RigGates, ExpandsEnvironmentVariablesInFileNames) {

@@ -112,7 +112,7 @@ TEST_F(ExciteProgram, CalibrateRefusesALogThatIsNone) {
   for (const auto& [log, remedy] : std::vector<std::pair<std::string, std::string>>{
            {"log_0.csv", "lists this file already"},
            {"new.csv,elbow.known_mass=1", "with a joint of"},
-           {"new.csv,hinge.known_mass=-1", "JOINT.PARAMETER=NUMBER"},
+           {"new.csv,hinge.known_mass=-1", "hinge.known_mass: is -1, must be at least 0"},
            {"new.csv,hinge.known_mass", "JOINT.PARAMETER=NUMBER"},
            {"new.csv", "cannot open"}}) {
     const auto [output, code] =

@@ -100,8 +100,9 @@ std::string RigYaml(const GeneratedRig& rig, const std::string& name) {
     absl::StrAppendFormat(
         &text, "  - {file: log_%d.csv, role: %s%s}\n", i, rig.logs[i].role,
         rig.logs[i].overrides.empty() ? "" : ", overrides: {" + rig.logs[i].overrides + "}");
-  absl::StrAppendFormat(&text, "metric: {type: position_rmse, window_s: %g, unit: %s}\n",
-                        rig.window_s, rig.declared.body.slide ? "m" : "rad");
+  absl::StrAppendFormat(&text, "metric: {type: %s_rmse, window_s: %g, unit: %s}\n",
+                        rig.family == Family::kInverse ? "torque" : "position", rig.window_s,
+                        rig.declared.body.slide ? "m" : "rad");
   return text;
 }
 
