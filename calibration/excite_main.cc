@@ -254,7 +254,7 @@ int Main(int argc, char** argv) {
       ->check(cli::Range(1e-9, 1.0))
       ->capture_default_str();
   app.add_option("--torque-share", design.torque_share,
-                 "Of servo.torque_limit that the motion may ask")
+                 "Of servo.torque_limit, or else the model's effort, that the motion may ask")
       ->check(cli::Range(0.05, 1.0))
       ->capture_default_str();
   app.add_option("--clearance", design.space.clearance,

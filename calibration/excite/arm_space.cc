@@ -83,7 +83,6 @@ absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const O
     space->moves_[model.jnt_bodyid[id]] = 1;
     space->qpos_.push_back(model.jnt_qposadr[id]);
     space->dof_.push_back(model.jnt_dofadr[id]);
-    space->torque_limits_.push_back(joint.servo.torque_limit);
     space->stops_.emplace_back();
     double q = space->data_->qpos[model.jnt_qposadr[id]];
     if (model.jnt_limited[id]) {
@@ -199,7 +198,8 @@ std::vector<double> ArmSpace::TorquesAt(const std::vector<double>& posture,
   return torques;
 }
 
-double ArmSpace::LoadOf(double share, double torque_share, const std::vector<double>& posture) {
+double ArmSpace::LoadOf(double share, double torque_share, const std::vector<double>& limits,
+                        const std::vector<double>& posture) {
   int site = -1;
   for (const char* name : kPayloadSites)
     if (site < 0) site = mj_name2id(model_.get(), mjOBJ_SITE, name);
@@ -217,7 +217,7 @@ double ArmSpace::LoadOf(double share, double torque_share, const std::vector<dou
     for (int axis = 0; axis < 3; ++axis) arm2 += std::pow(jacobian[axis * model_->nv + dof], 2);
     if (arm2 < 1e-8) continue;
     least = std::min(least, share * inertia[dof * model_->nv + dof] / arm2);
-    const double limit = torque_limits_[j];
+    const double limit = limits[j];
     const double left = torque_share * limit - std::abs(torques[j]);
     if (std::isfinite(limit)) most = std::min(most, std::max(0.0, left) / (kG * std::sqrt(arm2)));
   }

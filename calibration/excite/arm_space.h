@@ -50,9 +50,11 @@ class ArmSpace {
                                 const std::vector<double>& velocity,
                                 const std::vector<double>& acceleration);
   // [kg] at the tip that adds `share` of a joint's inertia where it adds most of it, one digit;
-  // less where a motor would be asked for more than `torque_share` to hold it. 0: the model has no
-  // site payload, tip, tool or end_effector, or no motor may hold more.
-  double LoadOf(double share, double torque_share, const std::vector<double>& posture);
+  // less where a motor would be asked for more than `torque_share` of its limit [Nm], if finite, to
+  // hold it. 0: the model has no site payload, tip, tool or end_effector, or no motor may hold
+  // more.
+  double LoadOf(double share, double torque_share, const std::vector<double>& limits,
+                const std::vector<double>& posture);
   // Pictures of a motion, q[joint][row], one every `every` rows.
   absl::Status Film(const std::vector<std::vector<double>>& q, int every, double frame_s,
                     const std::string& file);
@@ -68,7 +70,7 @@ class ArmSpace {
   Options options_;
   std::vector<int> qpos_, dof_;  // of the rig's joints
   std::vector<std::optional<Stops>> stops_;
-  std::vector<double> home_, torque_limits_;
+  std::vector<double> home_;
   std::vector<char> moves_;                      // bodies that the rig's joints move
   std::vector<std::pair<int, int>> neighbours_;  // bodies
   int shapes_ = 0;

@@ -45,6 +45,7 @@ class Designer {
     RS_RETURN_IF_ERROR(CheckNames());
     RS_ASSIGN_OR_RETURN(space_, ArmSpace::Load(rig_, options_.space));
     RS_ASSIGN_OR_RETURN(plant_, Plant::Load(rig_));
+    FindTorqueLimits();
     if (space_->shapes() == 0 && !options_.without_shapes)
       return absl::FailedPreconditionError(absl::StrCat(
           rig_.model, ": has no shapes that collide",
@@ -63,6 +64,7 @@ class Designer {
     }
     RS_RETURN_IF_ERROR(Describe());
     design_.notes.insert(design_.notes.end(), space_->notes().begin(), space_->notes().end());
+    NoteUncheckedTorques();
     return std::move(design_);
   }
 
@@ -79,6 +81,24 @@ class Designer {
       }
     }
     return absl::OkStatus();
+  }
+
+  // The rig's, or else the model's, as calibrate takes them.
+  void FindTorqueLimits() {
+    for (size_t j = 0; j < rig_.joints.size(); ++j) {
+      const double declared = rig_.joints[j].servo.torque_limit;
+      torque_limits_.push_back(std::isfinite(declared) ? declared
+                                                       : plant_->effort_limit(static_cast<int>(j)));
+    }
+  }
+  void NoteUncheckedTorques() {
+    std::vector<std::string> unchecked;
+    for (size_t j = 0; j < rig_.joints.size(); ++j)
+      if (!std::isfinite(torque_limits_[j])) unchecked.push_back(rig_.joints[j].name);
+    if (!unchecked.empty())
+      design_.notes.push_back(absl::StrCat("torques of ", absl::StrJoin(unchecked, ", "),
+                                           " were not checked: neither servo.torque_limit of the "
+                                           "rig nor the model's effort says what they may be"));
   }
 
   absl::Status FindRooms() {
@@ -137,7 +157,7 @@ class Designer {
   std::vector<Change> Changes() const {
     std::vector<Change> changes = {{}};
     if (options_.asked.empty()) return changes;
-    const double mass = space_->LoadOf(kLoadShare, options_.torque_share, centre_);
+    const double mass = space_->LoadOf(kLoadShare, options_.torque_share, torque_limits_, centre_);
     if (mass > 0)
       changes.push_back(
           {.words = absl::StrFormat("with a known %.3g kg at the tip", mass), .mass = mass});
@@ -323,8 +343,8 @@ class Designer {
       }
       const std::vector<double> torques = space_->TorquesAt(now, speed, rise);
       for (size_t j = 0; j < n; ++j) {
-        const double limit = rig_.joints[j].servo.torque_limit;
-        if (!std::isfinite(limit) || limit <= 0) continue;
+        const double limit = torque_limits_[j];
+        if (!std::isfinite(limit)) continue;
         const double share = std::abs(torques[j]) / limit;
         if (share <= design_.torque_used) continue;
         design_.torque_used = share;
@@ -339,7 +359,7 @@ class Designer {
     if (last || by_holding)
       return absl::FailedPreconditionError(absl::StrFormat(
           "%s%s; the motion may ask for %.3g of it: give another --centre, a smaller --swing, or "
-          "correct the model's masses and servo.torque_limit",
+          "correct the model's masses, its effort or servo.torque_limit",
           loaded, by_holding ? " to hold still" : "", options_.torque_share));
     for (ExcitationDesign::Joint& joint : design_.joints) {
       joint.room.acceleration *= kShrink;
@@ -382,6 +402,7 @@ class Designer {
   std::unique_ptr<ArmSpace> space_;
   std::unique_ptr<Plant> plant_;
   std::vector<double> centre_;
+  std::vector<double> torque_limits_;            // [Nm] per joint; infinite: nobody says
   std::vector<std::vector<JointPiece>> chosen_;  // per joint
   ExcitationDesign design_;
 };

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <limits>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
@@ -49,7 +50,7 @@ Rig TwoLinks(const std::string& mjcf = kTwoLinks) {
 }
 
 // The same in URDF, the second link a mesh of a package, which MuJoCo does not find.
-Rig TwoLinksOfAPackage(bool with_mesh) {
+Rig TwoLinksOfAPackage(bool with_mesh, double effort = 30) {
   const std::string folder = ::testing::TempDir() + "robostress_excite/two_links";
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder + "/urdf");
@@ -63,11 +64,11 @@ Rig TwoLinksOfAPackage(bool with_mesh) {
   const std::string inertial =
       "<inertial><origin xyz=\"0 0 0.15\"/><mass value=\"1\"/><inertia ixx=\"0.01\" iyy=\"0.01\" "
       "izz=\"0.01\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>";
-  const auto joint = [](const char* name, const char* parent, const char* child, const char* at) {
+  const auto joint = [&](const char* name, const char* parent, const char* child, const char* at) {
     return absl::StrCat("<joint name=\"", name, "\" type=\"revolute\"><parent link=\"", parent,
                         "\"/><child link=\"", child, "\"/><origin xyz=\"", at,
-                        "\"/><axis xyz=\"0 1 0\"/><limit lower=\"-3\" upper=\"3\" effort=\"30\" "
-                        "velocity=\"3\"/></joint>");
+                        "\"/><axis xyz=\"0 1 0\"/><limit lower=\"-3\" upper=\"3\" effort=\"",
+                        effort, "\" velocity=\"3\"/></joint>");
   };
   EXPECT_TRUE(
       WriteFileAtomically(
@@ -332,6 +333,26 @@ TEST(Excitation, IsSmallerWhereSomethingIsInTheWay) {
 std::string Refusal(const Rig& rig, const DesignOptions& options) {
   const auto design = DesignExcitation(rig, options);
   return design.ok() ? "let pass" : std::string(design.status().message());
+}
+
+TEST(Excitation, AsksNoMoreThanTheModelsEffortWhereTheRigHasNoLimit) {
+  const auto rig_of = [](double effort) {
+    Rig rig = TwoLinksOfAPackage(true, effort);
+    for (RigJoint& joint : rig.joints)
+      joint.servo.torque_limit = std::numeric_limits<double>::infinity();
+    return rig;
+  };
+  DesignOptions options = Brief();
+  options.centre = {{"shoulder", 0.3}, {"elbow", 0.8}};
+  EXPECT_THAT(Refusal(rig_of(0.05), options), HasSubstr("of 0.05 Nm to hold still"));
+  const auto free = DesignExcitation(rig_of(0), options);
+  ASSERT_TRUE(free.ok()) << free.status();
+  EXPECT_THAT(free->notes, testing::Contains(HasSubstr("torques of shoulder, elbow were not "
+                                                       "checked")));
+  const auto space = ArmSpace::Load(TwoLinks(), {});
+  ASSERT_TRUE(space.ok()) << space.status();
+  EXPECT_GT((*space)->LoadOf(0.3, 0.8, {30, 30}, {0.5, 0.5}), 0);
+  EXPECT_EQ((*space)->LoadOf(0.3, 0.8, {0.05, 30}, {0.5, 0.5}), 0);
 }
 
 TEST(Excitation, RefusesWhatNoMotionCanMend) {
