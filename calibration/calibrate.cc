@@ -191,7 +191,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     RS_ASSIGN_OR_RETURN(MeasuredLog read, ReadMeasuredLog(rig, log));
     logs.push_back(std::move(read));
   }
-  RS_RETURN_IF_ERROR(CheckUnits(rig, *plant, logs));
+  RS_ASSIGN_OR_RETURN(const std::vector<std::string> unchecked, CheckUnits(rig, *plant, logs));
   NoiseOfTorques(rig, *plant, logs);
   RS_RETURN_IF_ERROR(ChooseCommandShapes(rig, *plant, logs));
   if (!plant->single()) {
@@ -236,6 +236,9 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     if (!changed) break;
   }
   options.progress("asking other joints");
+  for (JointReport& joint : report.joints)
+    if (std::find(unchecked.begin(), unchecked.end(), joint.joint) != unchecked.end())
+      absl::StrAppend(&joint.because, "; units of ", joint.joint, " could not be checked");
   RS_RETURN_IF_ERROR(AskTheArm(rig, result.after, *plant, logs, report));
   report.verdict = Combine(report.joints);
   for (const JointReport& joint : report.joints)

@@ -203,12 +203,25 @@ class Units {
   const bool mass_is_free_;
 };
 
+// The log with the positions of one joint in another unit.
+MeasuredLog InUnitsOf(MeasuredLog log, int index, double factor) {
+  JointRecord& joint = log.joints[index];
+  for (auto* channel : {&joint.q, &joint.command, &joint.q_smooth, &joint.dq, &joint.ddq,
+                        &joint.motion.q, &joint.motion.dq, &joint.motion.ddq, &joint.motion.rise})
+    for (double& value : *channel) value *= factor;
+  joint.start_noise_dq *= factor;
+  return log;
+}
+
 }  // namespace
 
-absl::Status CheckUnits(const Rig& rig, const Plant& plant, const std::vector<MeasuredLog>& logs) {
+absl::StatusOr<std::vector<std::string>> CheckUnits(const Rig& rig, const Plant& plant,
+                                                    const std::vector<MeasuredLog>& logs) {
+  std::vector<std::string> unchecked;
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
     const RigJoint& joint = rig.joints[i];
     RS_ASSIGN_OR_RETURN(const JointModel declared, DeclaredModel(rig, plant, i));
+    bool checked = false;
     for (const MeasuredLog& log : logs) {
       absl::StatusOr<JointModel> model = WithOverrides(declared, joint.name, log.overrides);
       if (!model.ok())
@@ -216,13 +229,17 @@ absl::Status CheckUnits(const Rig& rig, const Plant& plant, const std::vector<Me
             absl::StrCat(rig.file, ": log ", log.file, ": ", model.status().message()));
       if (joint.input == JointInput::kTransmission) continue;
       const bool free = std::count(joint.fit.begin(), joint.fit.end(), "mass_scale") > 0;
-      const Units units(plant, log, i, *std::move(model), free);
+      const Units units(plant, log, i, *model, free);
       if (const std::string found = units.Impossible(); !found.empty())
         return absl::InvalidArgumentError(
             absl::StrCat(log.file, ": joint '", joint.name, "': ", found));
+      if (checked) continue;
+      const MeasuredLog other = InUnitsOf(log, i, plant.hinge(i) ? 1 / kDegree : 1000);
+      checked = !Units(plant, other, i, *std::move(model), free).Impossible().empty();
     }
+    if (!checked) unchecked.push_back(joint.name);
   }
-  return absl::OkStatus();
+  return unchecked;
 }
 
 }  // namespace robostress::calibration

@@ -1,8 +1,9 @@
 #pragma once
 
+#include <string>
 #include <vector>
 
-#include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "calibration/data/measured_log.h"
 #include "calibration/model/plant.h"
 
@@ -17,7 +18,9 @@ namespace robostress::calibration {
 // - a link that gravity pulls at turns at accelerations, or a slide at speeds, that no robot has;
 // - gravity acts as it does on the positions taken as degrees, and not as they stand.
 // A motion that is slow or small in radians does nothing of this. Of a linear joint (no gravity, no
-// torque logged, no stops) no unit follows: its logs pass.
-absl::Status CheckUnits(const Rig& rig, const Plant& plant, const std::vector<MeasuredLog>& logs);
+// torque logged, no stops) no unit follows: its logs pass. Returns the joints of which this is so:
+// nothing would be impossible either if their motion were larger by 180 / pi (of a slide 1000).
+absl::StatusOr<std::vector<std::string>> CheckUnits(const Rig& rig, const Plant& plant,
+                                                    const std::vector<MeasuredLog>& logs);
 
 }  // namespace robostress::calibration

@@ -40,7 +40,7 @@ absl::Status GatesOf(Family family, uint64_t seed, double unit,
     return written;
   const auto rig = LoadRig(folder + "/rig.yaml");
   if (!rig.ok()) return rig.status();
-  return CheckUnits(rig->rig, *rig->plant, rig->logs);
+  return CheckUnits(rig->rig, *rig->plant, rig->logs).status();
 }
 
 TEST(UnitCheck, PassesGeneratedRigsInRadiansAndMetres) {
@@ -67,7 +67,7 @@ absl::Status GatesOfOverride(Family family, const std::string& key) {
   auto rig = LoadRig(folder + "/rig.yaml");
   if (!rig.ok()) return rig.status();
   rig->logs[0].overrides["hinge." + key] = 0.3;
-  return CheckUnits(rig->rig, *rig->plant, rig->logs);
+  return CheckUnits(rig->rig, *rig->plant, rig->logs).status();
 }
 
 TEST(UnitCheck, NamesAnOverrideThatIsNone) {
@@ -133,11 +133,44 @@ class Pendulum : public testing::Test {
     if (!plant.ok()) return plant.status();
     auto measured = ReadMeasuredLog(rig_, log);
     if (!measured.ok()) return measured.status();
-    return CheckUnits(rig_, **plant, {*measured});
+    const auto unchecked = CheckUnits(rig_, **plant, {*measured});
+    if (unchecked.ok()) unchecked_ = *unchecked;
+    return unchecked.status();
   }
   std::string folder_;
   Rig rig_;
+  std::vector<std::string> unchecked_;
 };
+
+// Of an upright axis without stops, behind a servo whose torque nobody logged, no unit follows.
+TEST_F(Pendulum, WhereNothingTellsAUnitTheJointIsNamed) {
+  ASSERT_TRUE(Gates(0.5, 0.5, 1).ok());
+  EXPECT_THAT(unchecked_, testing::IsEmpty());
+  rig_.joints[0].input = JointInput::kPositionTarget;
+  rig_.joints[0].servo.kp = 20;
+  const auto unchecked = [&](double unit) {
+    std::string text = "t,q_cmd_hinge,q_hinge\n";
+    for (int k = 0; k < 2000; ++k)
+      absl::StrAppend(&text, k / 200.0, ",", unit * std::sin(k / 100.0), ",",
+                      unit * std::sin(k / 100.0 - 0.05), "\n");
+    RigLog log;
+    log.file = folder_ + "/servo.csv";
+    EXPECT_TRUE(WriteFileAtomically(log.file, text).ok());
+    const auto plant = Plant::Load(rig_);
+    EXPECT_TRUE(plant.ok()) << plant.status();
+    const auto measured = ReadMeasuredLog(rig_, log);
+    EXPECT_TRUE(measured.ok()) << measured.status();
+    const auto found = CheckUnits(rig_, **plant, {*measured});
+    EXPECT_TRUE(found.ok()) << found.status();
+    return found.ok() ? *found : std::vector<std::string>();
+  };
+  SetModel("range=\"-2 2\" limited=\"true\" ");
+  EXPECT_THAT(unchecked(1), testing::IsEmpty());
+  rig_.gravity = {0, 0, 0};
+  SetModel("");
+  EXPECT_THAT(unchecked(1), testing::ElementsAre("hinge"));
+  EXPECT_THAT(unchecked(kDegreesOfRadian), testing::ElementsAre("hinge"));
+}
 
 TEST_F(Pendulum, SlowSmallFastAndManyTurnsInRadiansPass) {
   for (const auto& [amplitude, frequency] : {std::pair(0.01, 0.05),
