@@ -204,7 +204,6 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
   report.rig = rig.name;
   report.rig_file = rig.file;
   report.model = rig.model;
-  report.n_surrogates = options.surrogates;
   for (const MeasuredLog& log : logs)
     report.logs.push_back(
         {log.file, RoleName(log.role), log.condition, log.rows, log.rows * log.dt, log.notes});
@@ -236,15 +235,18 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     if (!changed) break;
   }
   options.progress("asking other joints");
+  RS_RETURN_IF_ERROR(AskTheArm(rig, result.after, *plant, logs, report));
   for (JointReport& joint : report.joints)
     if (std::find(unchecked.begin(), unchecked.end(), joint.joint) != unchecked.end())
       absl::StrAppend(&joint.because, "; units of ", joint.joint, " could not be checked");
-  RS_RETURN_IF_ERROR(AskTheArm(rig, result.after, *plant, logs, report));
   report.verdict = Combine(report.joints);
   for (const JointReport& joint : report.joints)
     report.because +=
         absl::StrCat(report.because.empty() ? "" : "; ", joint.joint, ": ", joint.because);
   CompareJoints(report);
+  const auto was_searched = [](const JointReport& joint) { return !joint.rounds.empty(); };
+  if (std::any_of(report.joints.begin(), report.joints.end(), was_searched))
+    report.n_surrogates = options.surrogates;
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
   report.elapsed_s = elapsed.count();
   return result;

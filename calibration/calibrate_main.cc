@@ -70,7 +70,7 @@ absl::Status WriteScenario(const Rig& declared, const Rig& after, const JointMap
 bool LeavesAQuestion(const CalibrationReport& report) {
   return std::any_of(report.joints.begin(), report.joints.end(), [](const JointReport& joint) {
     return joint.verdict != Verdict::kAttributed && joint.verdict != Verdict::kDeclaredSufficient &&
-           joint.input != "transmission";
+           joint.input != "transmission" && !joint.rounds.empty();
   });
 }
 
@@ -127,8 +127,8 @@ absl::Status Run(CommandLine line) {
       std::printf("    next: %s\n", joint.next_experiment.text.c_str());
   }
   for (const std::string& evidence : report.evidence) std::printf("  %s\n", evidence.c_str());
-  std::printf("  %d surrogates, %.1f s; %s\n", report.n_surrogates, report.elapsed_s,
-              (out / "report.json").string().c_str());
+  if (report.n_surrogates > 0) std::printf("  %d surrogates\n", report.n_surrogates);
+  std::printf("  %.1f s; %s\n", report.elapsed_s, (out / "report.json").string().c_str());
   return absl::OkStatus();
 }
 

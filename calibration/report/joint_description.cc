@@ -78,7 +78,9 @@ class Description {
     report.verdict = judgement.verdict;
     report.because = absl::StrCat(judgement.because, StartsOfRuns(report), LogProperties());
     report.excess_explained = judgement.excess_explained;
-    if (judgement.verdict != Verdict::kDeclaredSufficient) DescribeNext(report);
+    if (judgement.verdict == Verdict::kDeclaredSufficient) return report;
+    report.next_experiment.text = BeforeTheNext(evidence);
+    if (report.next_experiment.text.empty()) DescribeNext(report);
     return report;
   }
 
@@ -349,6 +351,41 @@ class Description {
         !trace_.after.added.empty() && !doubt.empty())
       doubts.push_back(std::move(doubt));
     return doubts;
+  }
+
+  // What to change before another motion is worth it; empty: nothing.
+  std::string BeforeTheNext(const Evidence& evidence) const {
+    if (evidence.windows < kMinWindows) {
+      const double longest = LongestFreeRun();
+      return longest > 0 ? absl::StrFormat(
+                               "set metric.window_s to at most %g, or record longer logs", longest)
+                         : "record longer logs";
+    }
+    if (evidence.searched) return "";
+    return finding_.max_effects == 0 ? "run without --max-effects 0: nothing was searched"
+                                     : "fit more of what the worst log holds: what was fitted is "
+                                       "noise, so nothing was searched";
+  }
+
+  // [s] of which the fitted logs hold kMinWindows; 0: none, or their length is not the rig's to
+  // say.
+  double LongestFreeRun() const {
+    if (joint_.declared().input == JointInput::kInverse ||
+        joint_.declared().input == JointInput::kTransmission)
+      return 0;
+    std::vector<double> logs;  // [s]
+    for (const JointTrack& track : joint_.problem.tracks())
+      if (track.log->role == LogRole::kFit) logs.push_back(track.log->rows * track.log->dt);
+    double longest = 0;
+    for (const double log : logs) {
+      for (int parts = 1; parts <= kMinWindows; ++parts) {
+        const double run = log / parts;
+        double runs = 0;
+        for (const double other : logs) runs += std::floor(other / run + 1e-9);
+        if (runs >= kMinWindows) longest = std::max(longest, run);
+      }
+    }
+    return std::floor(longest * 100) / 100;
   }
 
   // What would tell what was added from its rivals, or else from what came nearest.

@@ -134,7 +134,7 @@ struct CalibrationReport {
   std::vector<Log> logs;
   std::vector<ModelFact> model_facts;  // of the whole model and of the joints traced
   std::vector<std::string> evidence;   // across joints: "the same delay on all axes: a channel"
-  int n_surrogates = 0;
+  int n_surrogates = 0;                // 0: nothing was searched
   double elapsed_s = 0;
   std::string model_out;     // rig_after.yaml, empty where nothing was added
   std::string scenario_out;  // scenario.yaml, empty without --map

@@ -213,7 +213,9 @@ absl::StatusOr<Finding> SearchJoint(JointCase& joint, const std::vector<std::str
   const Hypothesis declared = WithBetterCommands(joint.problem, fit, joint.Fit()).best;
   start.model.continuous_command = declared.model.continuous_command;
   joint.problem.LinearizeStarts(ModelAt(declared, declared.x));
-  return Search(joint, scales, start, declared, options).Run(leads);
+  Finding finding = Search(joint, scales, start, declared, options).Run(leads);
+  finding.max_effects = options.max_effects;
+  return finding;
 }
 
 }  // namespace robostress::calibration

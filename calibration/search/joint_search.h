@@ -14,6 +14,7 @@ struct Finding {
   Trace trace;  // its fits are what is best for the rig's metric
   // Of a metric of its own, every fold predicted by what is best for the others; else 0.
   double left_out_declared = 0, left_out_after = 0;
+  int max_effects = 0;  // TraceOptions: 0: nothing was to be searched
 };
 
 // Traces a joint and settles what the trace leaves open. `leads`: effects that were found on other

@@ -22,7 +22,6 @@ constexpr double kFewPushed = 12.0;  // the same of a joint that others push whe
 constexpr double kExplained = 0.97;  // of the excess energy: hardly anything remains
 constexpr double kExplainedToNoise = 0.7;
 constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
-constexpr int kMinWindows = 8;
 
 bool IsNoise(const Evidence::Regime& regime, bool pushed) {
   return regime.bulk <= kUnnamed * regime.floor &&

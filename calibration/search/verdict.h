@@ -37,6 +37,8 @@ struct Judgement {
   double excess_explained = 0;
 };
 
+inline constexpr int kMinWindows = 8;  // free runs that a verdict needs
+
 Judgement Judge(const Evidence& evidence);
 
 // Of a whole rig from its joints.

@@ -15,6 +15,7 @@ namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 using ::testing::StartsWith;
 using Json = nlohmann::json;
 
@@ -106,6 +107,27 @@ TEST_F(ExciteProgram, RefusesWrongLimits) {
     EXPECT_EQ(code, 2) << flags << output;
     EXPECT_THAT(output, HasSubstr(remedy)) << flags;
   }
+}
+
+TEST_F(ExciteProgram, CalibrateSaysWhatItDidNotSearch) {
+  const auto calibrate = [&](const std::string& more) {
+    const auto [output, code] =
+        RunProgram(CALIBRATE, absl::StrCat("--rig '", folder_, "/rig.yaml' --quiet --out '",
+                                           folder_, "/out' --surrogates 99 ", more));
+    EXPECT_EQ(code, 0) << output;
+    EXPECT_THAT(output, Not(HasSubstr("nothing came near")));
+    EXPECT_THAT(output, Not(HasSubstr("surrogates")));
+    return output;
+  };
+  EXPECT_THAT(calibrate("--max-effects 0"),
+              HasSubstr("next: run without --max-effects 0: nothing was searched"));
+  std::string rig = *ReadFile(folder_ + "/rig.yaml");
+  const size_t window = rig.find("window_s: ");
+  rig.replace(window, rig.find(',', window) - window, "window_s: 500");
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/rig.yaml", rig).ok());
+  const std::string output = calibrate("--max-effects 0");
+  EXPECT_THAT(output, HasSubstr("not_testable"));
+  EXPECT_THAT(output, HasSubstr("next: set metric.window_s to at most "));
 }
 
 TEST_F(ExciteProgram, CalibrateRefusesALogThatIsNone) {
