@@ -377,6 +377,8 @@ TEST_F(RigGates, RefusesKeysThatStandTwice) {
       HasSubstr("joints[0].servo: key 'kp' stands twice; leave one"));
   EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.damping: 1, hinge.damping: 2}"),
               HasSubstr("logs[0].overrides: key 'hinge.damping' stands twice"));
+  EXPECT_THAT(message("name: hinge, input: torque, fit: [damping, damping]", "file: a.csv"),
+              HasSubstr("joints[0].fit[1]: is 'damping' again; leave one"));
   const auto metrics =
       Read(Text(kJoint, "file: a.csv") + "metric: {unit: m}\nmetric: {unit: rad}\n");
   EXPECT_THAT(std::string(metrics.status().message()),
