@@ -1,6 +1,7 @@
 """A client of `robostress serve` and of every server that speaks openpi's WebSocket wire. Needs robostress[client]."""
 from __future__ import annotations
 
+import inspect
 from typing import Any, Dict, Mapping, Optional
 
 import numpy as np
@@ -9,15 +10,20 @@ from robostress._library import NotFound, RobostressError
 
 
 class ServerError(RobostressError):
-    """What the server refused, in its words; the connection is over."""
+    """What the server refused, in its words, or that it is gone; the connection is over."""
+
+
+class NoAnswer(ServerError, TimeoutError):
+    """The server took longer than `timeout`; the connection is over."""
 
 
 def _packed(value: Any) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
-        array = np.ascontiguousarray(value)
-        if array.dtype.kind in "OVc":
-            raise TypeError(f"arrays of {array.dtype} have no form on this wire; send numbers")
-        return {b"__ndarray__": True, b"data": array.tobytes(), b"dtype": array.dtype.str, b"shape": array.shape}
+        if value.dtype.kind in "OVc":
+            raise TypeError(f"arrays of {value.dtype} have no form on this wire; send numbers")
+        if isinstance(value, np.generic):
+            return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+        return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": value.shape}
     raise TypeError(f"{type(value).__name__} has no form on this wire; send numbers, text, arrays and maps of them")
 
 
@@ -38,7 +44,9 @@ class PolicyClient:
             reply["actions"]                                            # [horizon, action_dim]
             client.infer(observation, executed={"p_base_tool": ..., ...})  # with what the arm did
 
-    method, method_options and the keys of `session` are of a RoboStress server, as is `executed`; others ignore them.
+    method, method_options and the keys of `session` are of a RoboStress server, as is `executed`; others ignore them. timeout:
+    [s] for an answer. Whatever ends infer() behind its question, a timeout or Ctrl-C, ends the connection too: the answer to
+    it would be taken for the next one's.
     """
 
     def __init__(self, uri: str, *, method: Optional[str] = None, method_options: Any = (),
@@ -46,17 +54,22 @@ class PolicyClient:
                  open_timeout: float = 10, timeout: float = 120) -> None:
         try:
             import msgpack  # type: ignore[import-untyped]
+            from websockets.exceptions import ConnectionClosed
             from websockets.sync.client import connect
         except ImportError as fault:
             raise NotFound(f"{fault.name} is not installed: pip install 'robostress[client]'") from fault
-        self._msgpack, self._timeout = msgpack, timeout
+        self._msgpack, self._timeout, self._over = msgpack, timeout, ConnectionClosed
         self._session = dict(session or {})
         if method is not None:
             self._session.update(method=method, method_options=list(method_options))
         headers = {"Authorization": f"Api-Key {token}"} if token else None
+        # A server that computes answers neither pings nor a farewell. Versions of websockets differ in what they take.
+        known = inspect.signature(connect).parameters
+        more: Dict[str, Any] = {"ping_interval": None, "legacy": True}
+        more = {name: value for name, value in more.items() if name in known}
         self._socket = connect(uri, compression=None, max_size=None, additional_headers=headers,
-                               open_timeout=open_timeout)
-        self.metadata: Dict[str, Any] = self._receive()
+                               open_timeout=open_timeout, close_timeout=1, **more)
+        self.metadata: Dict[str, Any] = self._exchange(None)
 
     def infer(self, observation: Mapping[str, Any], *, reset: bool = False,
               executed: Optional[Mapping[str, Any]] = None) -> Dict[str, Any]:
@@ -65,13 +78,13 @@ class PolicyClient:
         message = dict(observation)
         if self._session:
             message["session"] = self._session
-            self._session = {}
         if reset:
             message["reset"] = True
         if executed is not None:
             message["executed"] = dict(executed)
-        self._socket.send(self._msgpack.packb(message, default=_packed))
-        return self._receive()
+        reply = self._exchange(self._msgpack.packb(message, default=_packed))
+        self._session = {}
+        return reply
 
     def report(self, executed: Mapping[str, Any]) -> Dict[str, Any]:
         """`executed` alone, as at the end of an episode."""
@@ -86,9 +99,19 @@ class PolicyClient:
     def __exit__(self, *_: Any) -> None:
         self.close()
 
-    def _receive(self) -> Dict[str, Any]:
-        frame = self._socket.recv(timeout=self._timeout)
-        if isinstance(frame, str):
+    def _exchange(self, question: Optional[bytes]) -> Dict[str, Any]:
+        try:
+            if question is not None:
+                self._socket.send(question)
+            frame = self._socket.recv(timeout=self._timeout)
+            if isinstance(frame, str):
+                raise ServerError(frame)
+            return self._msgpack.unpackb(frame, object_hook=_unpacked, strict_map_key=False)
+        except BaseException as fault:
             self.close()
-            raise ServerError(frame)
-        return self._msgpack.unpackb(frame, object_hook=_unpacked, strict_map_key=False)
+            if isinstance(fault, TimeoutError):
+                raise NoAnswer(f"no answer in {self._timeout} s: give a longer timeout=, and make another client; this one's "
+                               "connection is over") from None
+            if isinstance(fault, self._over):
+                raise ServerError(f"the connection is over ({fault}): make another client") from fault
+            raise
