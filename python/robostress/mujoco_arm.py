@@ -131,7 +131,10 @@ class MujocoArm:
     def _mass_matrix(self) -> np.ndarray:
         import mujoco  # type: ignore[import-not-found]
         full = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, full, self.data.qM)
+        if hasattr(self.data, "qM"):
+            mujoco.mj_fullM(self.model, full, self.data.qM)
+        else:  # from MuJoCo 4 on
+            mujoco.mj_fullM(self.model, self.data, full)
         return full[np.ix_(self.dof, self.dof)]
 
     def _other_torque(self) -> np.ndarray:

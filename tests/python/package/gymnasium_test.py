@@ -63,6 +63,8 @@ def xml_of(actuators, gear=1):
 
 class ThreeJoints(gymnasium.envs.mujoco.MujocoEnv):
     metadata = {"render_modes": ["human", "rgb_array", "depth_array"], "render_fps": 50}
+    if not gymnasium.__version__.startswith("1.0"):
+        metadata["render_modes"].append("rgbd_tuple")
 
     def __init__(self, file):
         super().__init__(file, 10, gymnasium.spaces.Box(-np.inf, np.inf, (6,)))
@@ -224,6 +226,21 @@ class Gymnasium(unittest.TestCase):
         self.assertGreater(lost[:, 0].max(), 1)
         np.testing.assert_array_equal(lost[:, 1:], 0)
 
+    def test_friction_that_brings_joints_to_rest_reads_masses(self):
+        stick, slide = play(pusher(friction_law="stick")), play(pusher())
+        self.assertTrue(np.isfinite(stick).all())
+        self.assertGreater(np.abs(stick - slide).max(), 1e-6)
+
+    def test_masses_are_those_of_the_model(self):
+        model, data = chain()
+        data.qpos[:] = 0.3 * np.arange(7)
+        mujoco.mj_forward(model, data)
+        arm = MujocoArm(model, data, range(2, 7), range(2, 7), rs.JointErrors("clean", 5))
+        expected = np.zeros((7, 7))
+        for column, unit in zip(expected, np.eye(7)):
+            mujoco.mj_mulM(model, data, column, unit)
+        np.testing.assert_allclose(arm._mass_matrix(), expected[2:, 2:], rtol=1e-12)
+
     def test_an_episode_begins_at_each_reset(self):
         env = pusher()
         first = play(env)
@@ -253,7 +270,8 @@ class Gymnasium(unittest.TestCase):
     def test_says_what_cannot_be_wrapped(self):
         env = gymnasium.make("Pusher-v5")
         for scenario, more, words in (
-                ("clean", {}, "actuators is empty"), ("clean", {"actuators": ["elbow"]}, "'elbow' is not in .*r_elbow_flex"),
+                ("clean", {}, "actuators is empty"),
+                ("clean", {"actuators": ["elbow"]}, "'elbow' is not in .*r_elbow_flex"),
                 ("nominal", {"actuators": SHOULDER_TO_WRIST}, "the arm is another: give its own, nominal="),
                 ("heavy_payload", {"actuators": SHOULDER_TO_WRIST, "nominal": NOMINAL}, "depends on a grasp|where it sits"),
                 ("clean", {"actuators": SHOULDER_TO_WRIST, "tool": "hand"}, "site 'hand' is not in")):
