@@ -48,6 +48,7 @@ class SuiteEnv(gymnasium.Env):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
+    _process = None
 
     def __init__(self, suite="tabletop_goal", task=0, scenario="clean", severity=5, image_size=224, views=True,
                  settings=(), render_mode=None, camera_names=None):
@@ -55,7 +56,6 @@ class SuiteEnv(gymnasium.Env):
         are called in observations; None: as it calls them."""
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InvalidArgument(f"render_mode is {render_mode!r}, must be None or 'rgb_array'")
-        self._process = None
         command = [_program(), "--task", str(task), "--size", str(image_size)]
         for setting in (f"suite={suite}", f"scenario={scenario}", f"severity={severity}", *settings):
             command += ["--set", setting]
@@ -124,24 +124,33 @@ class SuiteEnv(gymnasium.Env):
 
     def _ask(self, request):
         if self._process is None:
-            raise RobostressError("the environment is closed")
+            raise RobostressError("the environment is closed: make another")
         try:
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            self._process.stdin.flush()
-        except OSError:
-            pass  # what it said last is read below
-        answer = self._line()
+            answer, data = self._exchange(request)
+        except BaseException:  # also Ctrl-C: the answer would be taken for that to the next request
+            self.close()
+            raise
         if "error" in answer:
             raise InvalidArgument(answer["error"])
-        data = self._process.stdout.read(answer["image_bytes"])
-        if len(data) != answer["image_bytes"]:
-            self._fail()
         pictures = numpy.frombuffer(data, numpy.uint8).reshape(-1, self._size, self._size, 3)
         self._pictures = {camera: picture.copy() for camera, picture in zip(self._cameras, pictures)}
         observation = {"agent_pos": numpy.asarray(answer["agent_pos"], numpy.float32)}
         if self._pictures:
             observation["pixels"] = dict(self._pictures)
         return observation, answer
+
+    def _exchange(self, request):
+        try:
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._process.stdin.flush()
+        except OSError:
+            pass  # what it said last is read below
+        answer = self._line()
+        size = answer.get("image_bytes", 0)
+        data = self._process.stdout.read(size)
+        if len(data) != size:
+            self._fail()
+        return answer, data
 
     def _line(self):
         line = self._process.stdout.readline()

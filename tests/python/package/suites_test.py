@@ -1,12 +1,15 @@
 """The embedded suites as Gymnasium environments, beside the worker of a sweep."""
 import json
+import gc
 import os
 import pathlib
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 import unittest
+import unittest.mock
 
 import gymnasium
 import numpy
@@ -17,6 +20,16 @@ import robostress.gymnasium_suites  # noqa: F401, names them to Gymnasium
 
 BIN = pathlib.Path(os.environ["ROBOSTRESS_BIN"])
 GOAL = "robostress/TabletopGoal-v0"
+SLOW_PROGRAM = """#!{python} -S
+import json, sys, time
+def say(**said):
+    print(json.dumps(said), flush=True)
+say(name="t", instruction="i", horizon=100, scenario="clean", severity=5, cameras=[], image_size=32, action_dim=7)
+for line in sys.stdin:
+    if "step" in line:
+        time.sleep(1.5)
+    say(image_bytes=0, agent_pos=[0] * 8, success=False, step=1, state=dict(q=[0]))
+"""
 
 
 def tensors(file):
@@ -119,6 +132,39 @@ class Suites(unittest.TestCase):
         env.unwrapped._process.wait()
         with self.assertRaisesRegex(robostress.RobostressError, "ended with -9"):
             env.step(numpy.zeros(7))
+
+    def test_an_interrupted_step_never_gets_the_answer_of_another(self):
+        class Late(Exception):
+            pass
+
+        def late(*_):
+            raise Late
+
+        with tempfile.TemporaryDirectory() as folder:
+            slow = pathlib.Path(folder, "robostress-environment")
+            slow.write_text(SLOW_PROGRAM.format(python=sys.executable))
+            slow.chmod(0o755)
+            with unittest.mock.patch.dict(os.environ, ROBOSTRESS_BIN=folder):
+                env = self.make(views=False)
+            env.reset(seed=1)
+            before = signal.signal(signal.SIGALRM, late)
+            try:
+                signal.setitimer(signal.ITIMER_REAL, 0.5)
+                with self.assertRaises(Late):
+                    env.step(numpy.zeros(7))
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+                signal.signal(signal.SIGALRM, before)
+            for call in (lambda: env.step(numpy.zeros(7)), lambda: env.reset(seed=1)):
+                with self.assertRaisesRegex(robostress.RobostressError, "closed: make another"):
+                    call()
+
+    def test_one_that_was_never_made_goes_quietly(self):
+        with unittest.mock.patch.object(sys, "unraisablehook") as told:
+            with self.assertRaises(robostress.InvalidArgument):
+                robostress.gymnasium_suites.SuiteEnv(render_mode="human")
+            gc.collect()
+        told.assert_not_called()
 
     def test_without_the_program_it_says_what_to_install(self):
         before = os.environ["ROBOSTRESS_BIN"]
