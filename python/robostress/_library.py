@@ -33,7 +33,11 @@ class InternalError(RobostressError, RuntimeError):
     """A fault of the library."""
 
 
-KINDS = {3: InvalidArgument, 5: NotFound, 9: WrongOrder}
+class StorageError(RobostressError, OSError):
+    """A disk that is full, a file that cannot be written or read."""
+
+
+KINDS = {3: InvalidArgument, 5: NotFound, 9: WrongOrder, 14: StorageError}
 
 
 class Options(ctypes.Structure):
@@ -137,6 +141,7 @@ FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "dataset_steps": (SIZE, [POINTER]),
     "dataset_free": (None, [POINTER]),
 }
+SLOW = ("dataset_open", "dataset_append", "dataset_free")
 
 
 def load() -> Any:
@@ -144,15 +149,17 @@ def load() -> Any:
     path = os.environ.get("ROBOSTRESS_LIBRARY") or str(beside)
     try:
         library = ctypes.PyDLL(path)  # its calls take microseconds: to give the interpreter away costs more
+        slow = ctypes.CDLL(path)  # those that write files do give it away
     except OSError as fault:
         raise ImportError(f"{path}: {fault}; the wheel holds it, made on this machine by `pip wheel ./python`") from fault
     for name, (result, arguments) in FUNCTIONS.items():
         try:
-            function = getattr(library, "robostress_" + name)
+            function = getattr(slow if name in SLOW else library, "robostress_" + name)
         except AttributeError as fault:
             raise ImportError(f"{path} has no robostress_{name}: it is of another version; install the wheel anew"
                               ) from fault
         function.restype, function.argtypes = result, arguments
+        setattr(library, "robostress_" + name, function)
     if library.robostress_interface() < INTERFACE:
         raise ImportError(f"{path} has interface {library.robostress_interface()}, needed is {INTERFACE}; "
                           "install the wheel anew")
@@ -175,12 +182,36 @@ class Failures:
             raise KINDS.get(code, InternalError)(self._text.value.decode("utf-8", "replace"))
 
 
-def integer(name: str, value: Any) -> int:
-    """`value`, a whole number of Python or NumPy."""
+class Unshared:
+    """The owner of a C handle: a copy of its attributes would use the handle beside it, and after it was freed."""
+
+    _instead = "make another"
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TypeError(f"{type(self).__name__} cannot be copied or pickled: {self._instead}")
+
+
+class Copied(Unshared):
+    """The same with copy(), which copies what the handle stands for."""
+
+    _instead = "use copy(), and in another process make another"
+
+    def __copy__(self) -> Any:
+        return self.copy()  # type: ignore[attr-defined]
+
+    def __deepcopy__(self, memo: Any) -> Any:
+        return self.copy()  # type: ignore[attr-defined]
+
+
+def integer(name: str, value: Any, least: int = -2**31, most: int = 2**31 - 1) -> int:
+    """`value`, a whole number of Python or NumPy, least to most; those of C's int unless said otherwise."""
     try:
-        return operator.index(value)
+        whole = operator.index(value)
     except TypeError:
         raise InvalidArgument(f"{name} is {value!r}, must be a whole number") from None
+    if not least <= whole <= most:
+        raise InvalidArgument(f"{name} is {whole}, must be {least} to {most}")
+    return whole
 
 
 def array(name: str, values: Any, dtype: Any, *shape: int) -> np.ndarray:

@@ -7,14 +7,18 @@ from typing import Any, Dict, List, Optional
 
 import numpy as np
 
-from robostress._library import LIBRARY, Control, Executed, Failures, InvalidArgument, array
+from robostress._library import LIBRARY, Control, Copied, Executed, Failures, InvalidArgument, array, integer
+
+
+MOST_ROWS = 1024  # that executed() takes at once
+UNIT = 1e-3  # |q| - 1 of a unit quaternion, at most, as in C
 
 
 def _text(value: Any) -> str:
     return str(value).lower() if isinstance(value, (bool, np.bool_)) else str(value)
 
 
-class Compensator:
+class Compensator(Copied):
     """Stands between a policy and a controller. One robot; one thread at a time.
 
         compensator.start_episode()
@@ -36,6 +40,7 @@ class Compensator:
                  translation_scale: float = 0.05, rotation_scale: float = 0.5, goal_reference: str = "achieved",
                  action_low: Optional[Any] = None, action_high: Optional[Any] = None, rows: Optional[int] = None,
                  **options: Any) -> None:
+        action_dim = integer("action_dim", action_dim)
         control = Control(ctypes.sizeof(Control), space.encode(), action_dim, control_period, translation_scale,
                           rotation_scale, goal_reference.encode(), None, None)
         bounds = []
@@ -53,9 +58,7 @@ class Compensator:
         self._own(handle)
         if rows is not None and self.every_step:
             raise InvalidArgument(f"rows={rows} would change nothing: method '{method}' learns after every action")
-        self._rows = 1 if self.every_step else 8 if rows is None else int(rows)
-        if self._rows < 1:
-            raise InvalidArgument(f"rows is {rows}, must be 1 or more")
+        self._rows = 1 if self.every_step else 8 if rows is None else integer("rows", rows, 1, MOST_ROWS)
 
     def _own(self, handle: ctypes.c_void_p) -> None:
         self._handle = handle.value
@@ -137,13 +140,21 @@ class Compensator:
         for name, (value, _) in given.items():
             if value is None:
                 raise InvalidArgument(f"nothing says where the arm is: give {name}")
-        return {name: array(name, value, float, size).copy() for name, (value, size) in given.items()}
+        state = {name: array(name, value, float, size).copy() for name, (value, size) in given.items()}
+        for name, values in state.items():  # before anything is kept: else every later step would fail on it
+            if not np.isfinite(values).all():
+                raise InvalidArgument(f"{name} is {values.tolist()}, must be finite; leave out the step, or say where the arm was "
+                                      "last")
+        length = float(np.linalg.norm(state.get("orientation", (1.0,))))
+        if abs(length - 1) > UNIT:
+            raise InvalidArgument(f"orientation has length {length:.4g}, must be 1: a unit quaternion w x y z")
+        return state
 
     def _learn(self, state: Dict[str, np.ndarray]) -> None:
-        states = self._steps + [state]
+        steps, self._steps = self._steps, []
+        states = steps + [state]
         self.executed(**{name: np.array([each[name] for each in states]) for name in state},
-                      **{name: np.array([each[name] for each in self._steps]) for name in ("policy", "sent")})
-        self._steps = []
+                      **{name: np.array([each[name] for each in steps]) for name in ("policy", "sent")})
 
     def residual(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> np.ndarray:
         """[n, action_dim] achieved minus commanded (paper, Eq. 1), as of executed(); changes nothing."""
@@ -162,7 +173,7 @@ class Compensator:
 
     def copy(self) -> "Compensator":
         """One that goes on as this one would."""
-        twin = object.__new__(Compensator)
+        twin = object.__new__(type(self))
         twin.method, twin.action_dim, twin.space, twin._rows = self.method, self.action_dim, self.space, self._rows
         twin._failures, handle = Failures(), ctypes.c_void_p()
         twin._failures.check(LIBRARY.robostress_compensator_copy(

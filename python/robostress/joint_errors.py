@@ -8,15 +8,28 @@ from typing import Any, Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Un
 import numpy as np
 
 from robostress._library import (
-    ARM, ATTACHED, LIBRARY, Arrays, Failures, InvalidArgument, Moment, Options, WrongOrder, array, integer)
+    ARM, ATTACHED, LIBRARY, Arrays, Copied, Failures, InvalidArgument, Moment, Options, WrongOrder, array, integer)
 from robostress.streams import Stream
 
 READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
          8: ("mass_matrix", "other_torque"), 16: ("ddq",)}
 GRASP = 32
+INDEXED = {"qpos_index": ("qpos",), "dof_index": ("qvel",), "ctrl_index": ("ctrl",), "joint_index": ("xaxis", "xanchor"),
+           "body_index": ("subtree_com", "subtree_mass")}
+WIDTH = {"xaxis": 3, "xanchor": 3, "subtree_com": 3}  # of a row; else an entry
 
 
-class JointErrors:
+def _own_array(name: str, values: Any) -> np.ndarray:
+    shape = f"[any, {WIDTH[name]}]" if name in WIDTH else "[any]"
+    if not isinstance(values, np.ndarray) or values.dtype != np.float64 or not values.flags.c_contiguous or (
+            values.shape[1:] != ((WIDTH[name],) if name in WIDTH else ())) or values.ndim == 0:
+        raise InvalidArgument(f"{name} must be the simulator's own contiguous float64 array {shape} to be attached")
+    if name in ("qpos", "ctrl") and not values.flags.writeable:
+        raise InvalidArgument(f"{name} cannot be written to: give the simulator's own array")
+    return values
+
+
+class JointErrors(Copied):
     """What becomes of an arm's torques, and how far its transmissions move.
 
         errors = JointErrors("aged_transmission")
@@ -26,8 +39,8 @@ class JointErrors:
                         the joints get `applied` [Nm]; `change` [rad] is added to their positions
 
     What these errors read of the arm is `reads`: q and dq, often gravity. Each is an attribute, an array that is filled in
-    place or by name in a call; bind() puts the simulator's own array there, so that nothing is copied. Arrays that calls
-    return are overwritten by the next call. One thread at a time.
+    place or by name in a call; bind(), or setting it, puts the simulator's own array there, so that nothing is copied.
+    Arrays that calls return are overwritten by the next call. One thread at a time.
 
     scenario: a name of scenarios(), or a file (.yaml). severity: 1 (mild) to 5 (full). seed: of stream(); the errors
     themselves draw nothing. horizon: control steps over which severities that grow do so. nominal: [joints, 9] Fc, Fs, vs,
@@ -52,8 +65,9 @@ class JointErrors:
                  gravity_sign: str = "literal", nominal: Optional[Any] = None) -> None:
         if not isinstance(scenario, str):
             raise InvalidArgument(f"scenario is {scenario!r}, must be a name of scenarios() or a file's path")
-        joints, severity, seed = integer("joints", joints), integer("severity", severity), integer("seed", seed)
-        horizon = integer("horizon", horizon)
+        joints, severity, horizon = (integer(name, value) for name, value in (
+            ("joints", joints), ("severity", severity), ("horizon", horizon)))
+        seed = integer("seed", seed, -2**63, 2**63 - 1)
         options = Options(ctypes.sizeof(Options), severity, horizon, friction_law.encode(), tanh_width,
                           offset_start.encode(), gravity_sign.encode(), None)
         if nominal is not None:
@@ -106,7 +120,6 @@ class JointErrors:
                     not values.flags.c_contiguous):
                 raise InvalidArgument(f"{name} must be a contiguous float64 array of shape {list(shape)} to be bound; "
                                       "give others by name in each call, which copies")
-            setattr(self, name, values)
             self._views[name] = memoryview(values)
             setattr(self._moment, name, values.ctypes.data)
 
@@ -138,6 +151,7 @@ class JointErrors:
     def add_effect(self, joint: int, effect: str, values: Sequence[float], coupled: int = -1) -> None:
         """An effect of the library at a joint, from the next reset on; values in the order of `robostress scenarios
         --effects`."""
+        joint, coupled = integer("joint", joint), integer("coupled", coupled)
         given = array("values", values, float, -1)
         self._failures.check(LIBRARY.robostress_errors_add_effect(
             self._handle, joint, effect.encode(), given.ctypes.data, len(given), coupled, *self._failures.arguments))
@@ -158,7 +172,7 @@ class JointErrors:
 
     def begin_control_step(self, steps_done: int, held: bool = False) -> None:
         """steps_done: control steps of the episode before this one; held: whether the gripper holds an object."""
-        LIBRARY.robostress_errors_begin_control_step(self._handle, steps_done, held)
+        LIBRARY.robostress_errors_begin_control_step(self._handle, integer("steps_done", steps_done), bool(held))
 
     def sub_step(self, asked: Any, **arm: Any) -> Tuple[np.ndarray, np.ndarray]:
         """(applied, change): torques that the joints get of those `asked` for [Nm], and what is added to their positions."""
@@ -191,21 +205,35 @@ class JointErrors:
         step whose torques `record` [rows, 2, joints] keeps: asked for, applied.
         """
         attached = Arrays(ctypes.sizeof(Arrays))
-        attached.field[:] = list(field)
+        attached.field[:] = array("field", field, float, 3)
+        rows = integer("rows", rows, 0)
         given = {**arrays, **({} if tool is None else {"tool": tool}),
                  **({} if gear is None else {"gear": array("gear", gear, float, self.joints)})}
+        if set(arrays) != set(ATTACHED):
+            raise InvalidArgument(f"arrays {sorted(arrays)} are given, must be {sorted(ATTACHED)}")
+        for name, of in INDEXED.items():
+            given[name] = self._indices(name, given[name], {each: len(_own_array(each, given[each])) for each in of})
+        if tool is not None and len(_own_array("tool", tool)) != 3:
+            raise InvalidArgument(f"tool has {len(tool)} entries, must be 3: a position")
         for name in (*ATTACHED, *(optional for optional in ("tool", "gear") if optional in given)):
-            values = given[name]
-            if name.endswith("_index"):
-                given[name] = values = array(name, values, np.intc, self.joints)
-            elif values.dtype != np.float64 or not values.flags.c_contiguous:
-                raise InvalidArgument(f"{name} must be the simulator's own contiguous float64 array to be attached")
-            setattr(attached, name, values.ctypes.data)
+            setattr(attached, name, given[name].ctypes.data)
         record = np.zeros((rows, 2, self.joints))
         self._failures.check(LIBRARY.robostress_errors_attach(
             self._handle, ctypes.addressof(self._moment), ctypes.addressof(attached), self._asked_array.ctypes.data,
             record.ctypes.data, rows, *self._failures.arguments))
         self.record, self._attached = record, (given, attached)
+
+    def _indices(self, name: str, given: Any, rows: Dict[str, int]) -> np.ndarray:
+        """[joints] within arrays of so many `rows`: nothing checks them later."""
+        wished = np.asarray(given)
+        if wished.dtype.kind not in "iu":
+            raise InvalidArgument(f"{name} is {given!r}, must be {self.joints} whole numbers")
+        wished = array(name, wished, np.int64, self.joints)
+        short = min(rows, key=lambda each: rows[each])
+        for index in wished:
+            if not 0 <= index < rows[short]:
+                raise InvalidArgument(f"{name} has {index}, must be 0 to {rows[short] - 1}: {short} has {rows[short]} rows")
+        return wished.astype(np.intc)
 
     def reset_attached(self, step: float = 0.002) -> None:
         """reset() where the attached arrays are, the motors holding the arm against gravity."""
@@ -251,7 +279,7 @@ class JointErrors:
 
     def copy(self) -> "JointErrors":
         """One that goes on as this one would, with arrays of its own."""
-        twin = object.__new__(JointErrors)
+        twin = object.__new__(type(self))
         twin.scenario, twin.joints, twin.severity, twin.seed = self.scenario, self.joints, self.severity, self.seed
         twin._failures, handle = Failures(), ctypes.c_void_p()
         twin._failures.check(LIBRARY.robostress_errors_copy(self._handle, ctypes.addressof(handle),
@@ -276,6 +304,20 @@ class JointErrors:
         """Draws of this seed, for noise of one's own."""
         return Stream(purpose, self.seed, *parts)
 
+
+def _attribute(name: str) -> property:
+    def bound(self: JointErrors) -> np.ndarray:
+        if name not in self._views:
+            raise AttributeError(name)
+        return self._views[name].obj  # type: ignore[return-value]
+
+    def bind(self: JointErrors, values: np.ndarray) -> None:
+        self.bind(**{name: values})
+    return property(bound, bind)
+
+
+for _name in ARM:
+    setattr(JointErrors, _name, _attribute(_name))
 
 _sub_step = LIBRARY.robostress_errors_sub_step
 _act_attached = LIBRARY.robostress_errors_act_attached

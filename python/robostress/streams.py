@@ -7,11 +7,15 @@ from typing import Union
 
 import numpy as np
 
-from robostress._library import LIBRARY, Failures, InvalidArgument
+from robostress._library import LIBRARY, Failures, InvalidArgument, Unshared, integer
+
+MOST = 2**40  # draws at once
 
 
-class Stream:
+class Stream(Unshared):
     """Draws of a purpose ("camera noise"), made its own by further parts: names and integers."""
+
+    _instead = "make one of the same purpose and parts where it is needed; it draws the same from its beginning"
 
     def __init__(self, purpose: str, *parts: Union[str, int]) -> None:
         failures, handle = Failures(), ctypes.c_void_p()
@@ -36,13 +40,13 @@ class Stream:
 
     def integers(self, n: int, count: int) -> np.ndarray:
         """[count] of 0 to n - 1."""
-        if not 1 <= n < 2**31:
-            raise InvalidArgument(f"n is {n}, must be 1 to 2^31 - 1")
+        n, count = integer("n", n, 1), integer("count", count, 0, MOST)
         values = np.empty(count, dtype=np.intc)
         LIBRARY.robostress_stream_integers(self._handle, n, values.ctypes.data, count)
         return values
 
     def _draw(self, function, count: int) -> np.ndarray:
+        count = integer("count", count, 0, MOST)
         values = np.empty(count)
         function(self._handle, values.ctypes.data, count)
         return values

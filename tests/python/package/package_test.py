@@ -2,9 +2,12 @@
 """The installed package: bits of the C++ kernels, refusals, the programs behind it. Arguments by environment:
 KERNEL_REFERENCE, CALIBRATE, SERVE; a test without its program is skipped."""
 import contextlib
+import copy
+import gc
 import io
 import os
 import pathlib
+import pickle
 import subprocess
 import tempfile
 import threading
@@ -104,7 +107,12 @@ class Errors(unittest.TestCase):
             (rs.InvalidArgument, "joints is 'seven', must be a whole number",
              lambda: rs.JointErrors("clean", joints="seven")),
             (rs.InvalidArgument, "severity is 4.5, must be", lambda: rs.JointErrors("clean", severity=4.5)),
+            (rs.InvalidArgument, "severity is 4294967299, must be", lambda: rs.JointErrors("clean", severity=2**32 + 3)),
             (rs.InvalidArgument, "scenario is None, must be a name", lambda: rs.JointErrors(None)),
+            (rs.InvalidArgument, "steps_done is 1.0, must be", lambda: rs.JointErrors("clean").begin_control_step(1.0)),
+            (rs.InvalidArgument, "joint is 0.5, must be", lambda: rs.JointErrors("clean").add_effect(0.5, "backlash", [0.01])),
+            (rs.InvalidArgument, "action_dim is 7.5, must be", lambda: rs.Compensator("base", action_dim=7.5)),
+            (rs.InvalidArgument, "rows is 0, must be 1 to", lambda: rs.Compensator("direct", rows=0)),
             (rs.InvalidArgument, "'mass' is nothing that an arm has; known: q, dq",
              lambda: rs.JointErrors("clean").reset(np.zeros(7), mass=1)),
             (rs.InvalidArgument, "q must be a contiguous float64 array",
@@ -138,6 +146,21 @@ class Errors(unittest.TestCase):
         self.assertFalse(np.array_equal(errors.sub_step(asked)[1], after[1]))
         errors.restore(saved)
         np.testing.assert_array_equal(errors.sub_step(asked), after)
+
+    def test_an_array_that_is_set_is_bound(self):
+        errors, q, rates = rs.JointErrors("clean", joints=1), np.zeros(1), np.zeros(1)
+        errors.add_effect(0, "backlash", [0.01])
+        errors.q, errors.dq = q, rates
+        self.assertIs(errors.dq, rates)
+        errors.reset()
+        rates[:] = 0.5
+        for _ in range(100):
+            q += 0.002 * rates + errors.sub_step([1.0])[1]
+        self.assertAlmostEqual(abs(errors.offset()[0]), 0.01)
+        with self.assertRaisesRegex(rs.InvalidArgument, "dq must be a contiguous float64 array"):
+            errors.dq = [0]
+        with self.assertRaises(AttributeError):
+            errors.ddq
 
     def test_effects_ask_for_what_they_read(self):
         errors = rs.JointErrors("clean", joints=2)
@@ -186,6 +209,15 @@ class Errors(unittest.TestCase):
             errors.actor(controller)()
         with self.assertRaisesRegex(rs.InvalidArgument, "ctrl must be the simulator's own"):
             errors.attach([0, 0, -9.81], **{**simulator, "ctrl": np.zeros(6)[::2]}, **indices)
+        for wrong, words in (({"ctrl_index": [10**6, 0]}, "ctrl_index has 1000000, must be 0 to 2: ctrl has 3 rows"),
+                             ({"dof_index": [-1, 0]}, "dof_index has -1, must be 0 to 2"),
+                             ({"qpos": np.zeros(2)}, "qpos_index has 2, must be 0 to 1"),
+                             ({"xanchor": np.zeros((2, 3))}, "joint_index has 2, must be 0 to 1: xanchor has 2 rows"),
+                             ({"subtree_com": np.zeros(9)}, r"subtree_com must be .* array \[any, 3\]"),
+                             ({"qpos_index": [0.9, 1.9]}, "must be 2 whole numbers"),
+                             ({"tool": np.zeros(2)}, "tool has 2 entries"), ({"wheel": np.zeros(2)}, "arrays .*wheel.* must be")):
+            with self.assertRaisesRegex(rs.InvalidArgument, words):
+                errors.attach([0, 0, -9.81], **{**simulator, **indices, **wrong})
 
     def test_seeds_give_streams_and_change_no_error(self):
         first, second = rs.JointErrors("clean", seed=1), rs.JointErrors("clean", seed=2)
@@ -261,12 +293,62 @@ class Compensators(unittest.TestCase):
         with self.assertRaisesRegex(rs.InvalidArgument, "rows=3 would change nothing"):
             rs.Compensator("ours_following_smooth", rows=3)
 
+    def test_a_bad_reading_costs_its_step_and_no_other(self):
+        action, position, upright = np.full(7, 0.1, np.float32), [0.4, 0, 0.3], [1, 0, 0, 0]
+        direct, told = rs.Compensator("direct", rows=4), rs.Compensator("direct", rows=4)
+        for i in range(12):
+            for where, turn, words in (([np.nan, 0, 0], upright, r"position is \[nan, 0.0, 0.0\], must be finite"),
+                                       (position, [0, 2, 0, 0], "orientation has length 2, must be 1")):
+                with self.assertRaisesRegex(rs.InvalidArgument, words):
+                    direct.step(action, where, turn)
+            np.testing.assert_array_equal(direct.step(action, position, upright), told.step(action, position, upright))
+        self.assertGreater(np.abs(direct.correction).max(), 0)
+        # What only the library refuses costs the chunk before it.
+        direct._steps[0]["position"][0] = np.nan
+        for _ in range(4):
+            with contextlib.suppress(rs.InvalidArgument):
+                direct.step(action, position, upright)
+        direct.step(action, position, upright)
+
     def test_joint_targets(self):
         direct = rs.DirectSubtraction(space="joint", action_dim=4)
         direct.correct(np.zeros((2, 4)))
         direct.executed(q=np.full((3, 3), 0.02))
         np.testing.assert_allclose(direct.correction, -0.02)
         np.testing.assert_allclose(direct.copy().correct(np.zeros((1, 4)))[0], [-0.02, -0.02, -0.02, 0], rtol=1e-6)
+
+
+class Copies(unittest.TestCase):
+    """A copy of an object that holds a C handle has one of its own, or is refused."""
+
+    def test_copies_outlive_their_originals(self):
+        action, where = np.full(7, 0.5, np.float32), ([0.4, 0, 0.3], [1, 0, 0, 0])
+        for copied in (copy.copy, copy.deepcopy):
+            first = rs.ModelFollowing(every_step=True)
+            first.step(action, *where)
+            second, third = copied(first), first.copy()
+            self.assertIsInstance(second, rs.ModelFollowing)
+            first.step(action, *where)
+            del first
+            gc.collect()
+            np.testing.assert_array_equal(second.step(action, *where), third.step(action, *where))
+            errors = rs.JointErrors("aged_joint_uniform")
+            errors.reset(np.zeros(7), gravity=np.ones(7))
+            twin, saved = copied(errors), errors.copy()
+            errors.sub_step(np.ones(7))
+            del errors
+            gc.collect()
+            np.testing.assert_array_equal(twin.sub_step(np.ones(7)), saved.sub_step(np.ones(7)))
+
+    def test_what_has_no_copy_says_what_to_do(self):
+        with tempfile.TemporaryDirectory() as folder, rs.EpisodeDataset(folder, cameras=[]) as data:
+            cases = [(pickle.dumps, rs.JointErrors("clean"), "use copy.., and in another process make another"),
+                     (pickle.dumps, rs.Compensator("base"), "use copy.., and in another process make another")]
+            for copied in (copy.copy, copy.deepcopy, pickle.dumps):
+                cases += [(copied, rs.Stream("x"), "make one of the same purpose"), (copied, data, "open the folder again")]
+            for copied, given, words in cases:
+                with self.assertRaisesRegex(TypeError, f"{type(given).__name__} cannot be copied or pickled: {words}"):
+                    copied(given)
 
 
 PENDULUM = """<mujoco><option timestep="0.002" gravity="0 0 -9.81"/><worldbody><body><joint name="hinge" axis="0 1 0"
