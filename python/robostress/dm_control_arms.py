@@ -7,7 +7,7 @@ from typing import Any, Optional, Sequence
 from robostress._library import InvalidArgument
 from robostress.gymnasium_arms import named_arm
 from robostress.joint_errors import JointErrors
-from robostress.mujoco_arm import ArmEpisode, MujocoArm
+from robostress.mujoco_arm import ArmEpisode, MujocoArm, put_back
 
 
 def base_of(env: Any) -> Optional[Any]:
@@ -36,12 +36,14 @@ class DmControlArm:
         self.episode = ArmEpisode("robostress", errors, settle_steps, make)
         make()  # what cannot be is said now
         self._original = {name: getattr(base, name) for name in ("step", "reset")}
+        self._replaced = {name: vars(base).get(name) for name in ("step", "reset")}
         base.step, base.reset, base._robostress = self.step, self.reset, self
 
     def remove(self) -> None:
         if vars(self.base).get("_robostress") is self:
-            for name in ("step", "reset", "_robostress"):
-                delattr(self.base, name)
+            for name, replaced in self._replaced.items():
+                put_back(self.base, name, replaced)
+            del self.base._robostress
 
     def reset(self) -> Any:
         self.episode.begun = False
@@ -49,13 +51,17 @@ class DmControlArm:
 
     def step(self, action: Any) -> Any:
         physics, self.episode.act = self.base.physics, None
+        replaced = vars(physics).get("step")
         physics.step = lambda nstep=1: self.simulate(physics, nstep)
         try:
             result = self._original["step"](action)
         finally:
-            del physics.step
-        if self.episode.act is not None:  # not where it began an episode
+            put_back(physics, "step", replaced)
+        if self.episode.act is not None:
             self.episode.executed(action)
+        elif not result.first():  # it did not begin an episode
+            raise InvalidArgument(f"{type(self.base).__name__}.step() did not step through physics.step, so no errors acted: ask "
+                                  "JointErrors in your own sub-steps")
         return result
 
     def simulate(self, physics: Any, nstep: int) -> None:

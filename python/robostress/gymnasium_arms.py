@@ -6,7 +6,7 @@ from typing import Any, List, Optional, Sequence
 
 from robostress._library import InvalidArgument, NotFound
 from robostress.joint_errors import JointErrors
-from robostress.mujoco_arm import ArmEpisode, MujocoArm
+from robostress.mujoco_arm import ArmEpisode, MujocoArm, put_back
 
 HOOKED = ("step", "reset", "set_state", "_step_mujoco_simulation")
 
@@ -57,17 +57,22 @@ class GymnasiumArm:
         self.episode = ArmEpisode("robostress", errors, settle_steps, make)
         make()  # what cannot be is said now
         self._original = {name: getattr(base, name) for name in HOOKED}
+        self._replaced = {name: vars(base).get(name) for name in HOOKED}
         base.step, base.reset, base.set_state = self.step, self.reset, self.set_state
         base._step_mujoco_simulation, base._robostress = self.simulate, self
 
     def remove(self) -> None:
         if vars(self.base).get("_robostress") is self:
-            for name in (*HOOKED, "_robostress"):
-                delattr(self.base, name)
+            for name, replaced in self._replaced.items():
+                put_back(self.base, name, replaced)
+            del self.base._robostress
 
     def step(self, action: Any) -> Any:
         self.episode.act = None
         result = self._original["step"](action)
+        if self.episode.act is None:
+            raise InvalidArgument(f"{type(self.base).__name__}.step() did not step through _step_mujoco_simulation, so no errors "
+                                  "acted: ask JointErrors in your own sub-steps")
         result[-1]["robostress"] = self.episode.executed(action)
         return result
 

@@ -11,6 +11,14 @@ from robostress.joint_errors import JointErrors
 MEASURED = ("mass_matrix", "other_torque", "ddq")  # what act() does not read itself
 
 
+def put_back(owner: Any, name: str, replaced: Any) -> None:
+    """`owner` has again what its own attribute `name` was, None: that of its class."""
+    if replaced is None:
+        delattr(owner, name)
+    else:
+        setattr(owner, name, replaced)
+
+
 class MujocoArm:
     """joints, motors: ids in the model, from the base on. tool: the site where a payload sits. pads: geoms of both sides of
     the gripper. rows: sub-steps of a control step. The model and its data stay as long as this does.
@@ -209,7 +217,7 @@ class ArmEpisode:
 
     def executed(self, action: Any) -> Dict[str, Any]:
         """What became of a command."""
-        assert self.arm is not None
+        assert self.arm is not None  # begin_control_step() was called
         self.arm.end_control_step()
         record = self.errors.record.copy()
         self.last = {"commanded": np.array(action), "asked": record[:, 0], "applied": record[:, 1], "q": self.arm.q(),

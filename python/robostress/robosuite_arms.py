@@ -7,7 +7,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from robostress._library import InvalidArgument
 from robostress.joint_errors import JointErrors
-from robostress.mujoco_arm import ArmEpisode, MujocoArm
+from robostress.mujoco_arm import ArmEpisode, MujocoArm, put_back
 
 Key = Tuple[int, str]
 
@@ -72,13 +72,6 @@ def _before(physics: Callable[[], Any], acts: List[Callable[[], Any]]) -> Callab
     return sub_step if len(acts) > 1 else sub_step_of_one
 
 
-def _put_back(owner: Any, name: str, replaced: Any) -> None:
-    if replaced is None:
-        delattr(owner, name)
-    else:
-        setattr(owner, name, replaced)
-
-
 class RobosuiteArms:
     """All wrapped arms of one environment: its step() puts them between its controllers and the physics."""
 
@@ -103,10 +96,12 @@ class RobosuiteArms:
         self.episodes[key] = episode
         return episode
 
-    def remove(self, key: Key) -> None:
-        self.episodes.pop(key, None)
+    def remove(self, key: Key, episode: ArmEpisode) -> None:
+        if self.episodes.get(key) is not episode:  # removed already; another one may have come since
+            return
+        del self.episodes[key]
         if not self.episodes and vars(self.base).get("_robostress") is self:
-            _put_back(self.base, "step", self._replaced)
+            put_back(self.base, "step", self._replaced)
             del self.base._robostress
 
     def _arm(self, key: Key, errors: JointErrors) -> MujocoArm:
@@ -140,7 +135,7 @@ class RobosuiteArms:
         try:
             result = self._step(action)
         finally:
-            _put_back(sim, name, replaced)
+            put_back(sim, name, replaced)
         for episode in self.episodes.values():
             result[-1][episode.name] = episode.executed(action)
         return result

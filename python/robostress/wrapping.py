@@ -5,7 +5,7 @@ import sys
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from robostress import dm_control_arms, gymnasium_arms, robosuite_arms
-from robostress._library import InvalidArgument, WrongOrder
+from robostress._library import InvalidArgument, WrongOrder, integer
 from robostress.joint_errors import JointErrors
 from robostress.mujoco_arm import ArmEpisode
 
@@ -77,6 +77,7 @@ def wrap(env: Any, scenario: str, *, severity: int = 5, seed: int = 0, horizon: 
 
 def _hook(env: Any, scenario: str, *, severity: int = 5, seed: int = 0, horizon: int = 0, settle_steps: int = 0,
           **options: Any) -> Tuple[ArmEpisode, Callable[[], None]]:
+    settle_steps = integer("settle_steps", settle_steps, 0)
     base = robosuite_arms.base_of(env)
     if base is not None:
         return _hook_robosuite(base, scenario, (severity, seed), horizon, settle_steps, **options)
@@ -99,7 +100,8 @@ def _hook_robosuite(base: Any, scenario: str, draws: Tuple[int, int], horizon: i
         raise InvalidArgument(f"robot {robot}'s {arm} arm is wrapped already: unwrap() it first")
     errors = _errors(scenario, joints, panda, draws, horizon or int(base.horizon), options)
     arms = arms or robosuite_arms.RobosuiteArms(base)
-    return arms.add(key, errors, settle_steps), lambda: arms.remove(key)
+    episode = arms.add(key, errors, settle_steps)
+    return episode, lambda: arms.remove(key, episode)
 
 
 def _hook_named(kind: Callable[..., Any], base: Any, scenario: str, draws: Tuple[int, int], horizon: int, settle_steps: int, *,

@@ -5,6 +5,7 @@ import unittest
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 import dm_control
+import dm_env
 import mujoco
 import numpy as np
 from dm_control import manipulation, suite
@@ -90,6 +91,27 @@ class DmControl(unittest.TestCase):
         play(other, 5)
         np.testing.assert_array_equal(play(bare), play(other))
         self.assertNotIn("step", vars(bare.physics))
+
+    def test_what_others_replaced_stays(self):
+        env, calls = manipulator(), []
+        step, physics_step = env.step, env.physics.step
+        env.step = mine = lambda action: (calls.append(1), step(action))[1]
+        env.physics.step = theirs = lambda nstep=1: physics_step(nstep)
+        wrapped = rs.wrap(env, "clean", actuators=ARM)
+        play(wrapped, 2)
+        wrapped.unwrap()
+        self.assertIs(env.step, mine)
+        self.assertIs(vars(env.physics)["step"], theirs)
+        self.assertNotIn("reset", vars(env))
+        self.assertEqual(len(calls), 2)
+
+    def test_an_environment_that_steps_mujoco_itself_is_told_so(self):
+        env = manipulator()
+        env.step = lambda action: dm_env.transition(0.0, {})
+        wrapped = rs.wrap(env, "clean", actuators=ARM)
+        wrapped.reset()
+        with self.assertRaisesRegex(rs.InvalidArgument, "step.. did not step through physics.step, .*ask JointErrors"):
+            wrapped.step(np.zeros(5))
 
     def test_says_what_cannot_be_wrapped(self):
         env = manipulator()

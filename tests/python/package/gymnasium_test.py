@@ -241,6 +241,33 @@ class Gymnasium(unittest.TestCase):
             mujoco.mj_mulM(model, data, column, unit)
         np.testing.assert_allclose(arm._mass_matrix(), expected[2:, 2:], rtol=1e-12)
 
+    def test_what_others_replaced_stays(self):
+        env, calls = gymnasium.make("Pusher-v5"), []
+        base, step = env.unwrapped, env.unwrapped.step
+        base.step = mine = lambda action: (calls.append(1), step(action))[1]
+        wrapped = rs.wrap(env, "clean", actuators=SHOULDER_TO_WRIST)
+        play(wrapped, 2)
+        wrapped.unwrap()
+        self.assertIs(base.step, mine)
+        self.assertNotIn("set_state", vars(base))
+        play(env, 1)
+        self.assertEqual(len(calls), 3)
+
+    def test_an_environment_that_steps_mujoco_itself_is_told_so(self):
+        class Own(ThreeJoints):
+            def step(self, action):
+                self.data.ctrl[:] = action
+                mujoco.mj_step(self.model, self.data, self.frame_skip)
+                return np.zeros(6), 0.0, False, False, {}
+
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "arm.xml")
+            file.write_text(xml_of('<motor joint="j{i}"/>'))
+            env = rs.wrap(Own(str(file)), "clean", actuators=["j0", "j1", "j2"])
+            env.reset(seed=1)
+            with self.assertRaisesRegex(rs.InvalidArgument, "Own.step.. did not step through .*ask JointErrors"):
+                env.step(np.zeros(3))
+
     def test_an_episode_begins_at_each_reset(self):
         env = pusher()
         first = play(env)
@@ -271,6 +298,8 @@ class Gymnasium(unittest.TestCase):
         env = gymnasium.make("Pusher-v5")
         for scenario, more, words in (
                 ("clean", {}, "actuators is empty"),
+                ("clean", {"actuators": SHOULDER_TO_WRIST, "settle_steps": 10.0}, "settle_steps is 10.0, must be a whole"),
+                ("clean", {"actuators": SHOULDER_TO_WRIST, "settle_steps": -5}, "settle_steps is -5, must be 0 to"),
                 ("clean", {"actuators": ["elbow"]}, "'elbow' is not in .*r_elbow_flex"),
                 ("nominal", {"actuators": SHOULDER_TO_WRIST}, "the arm is another: give its own, nominal="),
                 ("heavy_payload", {"actuators": SHOULDER_TO_WRIST, "nominal": NOMINAL}, "depends on a grasp|where it sits"),

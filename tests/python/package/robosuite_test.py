@@ -160,6 +160,18 @@ class Wrapped(unittest.TestCase):
         np.testing.assert_array_equal(clean["applied"], np.clip(clean["asked"], [-80] * 5 + [-12] * 2, [80] * 5 + [12] * 2))
         self.assertFalse(np.array_equal(bent["q"], clean["q"]))
 
+    def test_an_arm_is_taken_off_once(self):
+        env = make("TwoArmLift", ["Panda", "Panda"])
+        first, other = rs.wrap(env, "clean"), rs.wrap(env, "clean", robot=1)
+        first.unwrap()
+        later = rs.wrap(env, "aged_transmission")
+        first.unwrap()
+        _, info = play(later, 1)
+        self.assertGreater(np.abs(info["robostress"]["applied"] - info["robostress"]["asked"]).max(), 0.1)
+        for wrapped in (later, other):
+            wrapped.unwrap()
+        self.assertNotIn("step", vars(env))
+
     def test_closes_once_and_copies_never(self):
         wrapped = rs.wrap(make(), "aged_transmission")
         wrapped.reset()
