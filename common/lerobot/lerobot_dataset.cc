@@ -1,6 +1,10 @@
 #include "common/lerobot/lerobot_dataset.h"
 
+#include <sys/file.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <filesystem>
 #include <set>
 
@@ -8,6 +12,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/atomic_stream.h"
 #include "common/lerobot/feature_statistics.h"
 #include "common/lerobot/parquet_table.h"
 #include "common/status_macros.h"
@@ -19,6 +24,7 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 constexpr char kInfo[] = "/meta/info.json";
+constexpr char kLock[] = "/meta/.lock", kBegun[] = "/meta/.begun";
 constexpr char kImages[] = "observation.images.";
 constexpr char kOurs[] = "robostress";  // in info.json; LeRobot passes over what it does not know
 constexpr int kFilesPerChunk = 1000;
@@ -266,12 +272,54 @@ absl::Status WriteInFolder(const std::string& path, const std::string& bytes) {
   return WriteFileAtomically(path, bytes);
 }
 
+// With an info.json: data without it is from now on a set that lost it, and no remainder of ours.
+void ForgetBeginning(const std::string& directory) {
+  std::error_code ignored;
+  fs::remove(directory + kBegun, ignored);
+}
+
+// What meta/info.json says, `fresh` where there is none yet.
+absl::StatusOr<Json> InfoOf(const std::string& directory, const Json& fresh) {
+  const std::string path = directory + kInfo;
+  if (fs::exists(path)) {
+    RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostInfoBytes));
+    Json there = Json::parse(text, nullptr, /*allow_exceptions=*/false);
+    RS_RETURN_IF_ERROR(CheckInfo(path, there, fresh));
+    return there;
+  }
+  // Of a first episode that was never finished, or of somebody else's set without its heart.
+  if (!fs::exists(directory + kBegun) &&
+      (fs::exists(directory + "/data") || fs::exists(directory + "/meta/episodes"))) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(directory, " holds data without ", path, "; record into another folder"));
+  }
+  return fresh;
+}
+
 }  // namespace
 
 std::string LerobotEpisodeFile(const std::string& directory, const char* folder, int64_t episode) {
   const auto three = [](int64_t number) { return absl::Dec(number, absl::kZeroPad3); };
   return absl::StrCat(directory, "/", folder, "/chunk-", three(episode / kFilesPerChunk), "/file-",
                       three(episode % kFilesPerChunk), ".parquet");
+}
+
+void LerobotDataset::Release::operator()(std::FILE* file) const {
+  if (::getpid() == owner) ::flock(::fileno(file), LOCK_UN);
+  std::fclose(file);
+}
+
+absl::StatusOr<LerobotDataset::Lock> LerobotDataset::TakeLock(const std::string& directory) {
+  const std::string path = directory + kLock;
+  RS_RETURN_IF_ERROR(MakeDirectories(directory + "/meta"));
+  Lock lock(std::fopen(path.c_str(), "ae"), Release{::getpid()});
+  if (lock == nullptr) return ErrnoStatus("cannot open", path, errno);
+  // A file system without locks cannot protect; it does not stop the work either.
+  if (::flock(::fileno(lock.get()), LOCK_EX | LOCK_NB) == 0 || errno != EWOULDBLOCK) return lock;
+  return absl::FailedPreconditionError(
+      absl::StrCat("another recorder has ", directory,
+                   " open, and there is one recorder a folder; close it, or record into another "
+                   "folder"));
 }
 
 absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory,
@@ -282,22 +330,19 @@ absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory
         "episodes at ", rate_hz, " Hz: LeRobot's fps is a whole number from 1 to 1000"));
   }
   RS_RETURN_IF_ERROR(CheckNames(schema));
-  Json info = NewInfo(schema);
-  const std::string path = directory + kInfo;
-  if (fs::exists(path)) {
-    RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostInfoBytes));
-    Json there = Json::parse(text, nullptr, /*allow_exceptions=*/false);
-    RS_RETURN_IF_ERROR(CheckInfo(path, there, info));
-    info = std::move(there);
-  } else if (fs::exists(directory + "/data") || fs::exists(directory + "/meta/episodes")) {
-    // Of a first episode that was never finished, or of somebody else's set without its heart.
-    if (fs::exists(LerobotEpisodeFile(directory, "data", 1))) {
-      return absl::FailedPreconditionError(absl::StrCat(directory, " holds episodes without ", path,
-                                                        "; record into another folder"));
-    }
-  }
-  LerobotDataset set(directory, schema, std::move(info));
-  set.RemoveUnfinished();
+  const Json fresh = NewInfo(schema);
+  // Before the lock, so that somebody else's folder stays as it is; behind it, because a recorder
+  // may have ended in between.
+  RS_RETURN_IF_ERROR(InfoOf(directory, fresh).status());
+  RS_ASSIGN_OR_RETURN(Lock lock, TakeLock(directory));
+  RS_ASSIGN_OR_RETURN(Json info, InfoOf(directory, fresh));
+  LerobotDataset set(directory, schema, std::move(info), std::move(lock));
+  const bool complete = fs::exists(directory + kInfo);
+  if (complete || fs::exists(directory + kBegun)) set.RemoveUnfinished();
+  if (complete)
+    ForgetBeginning(directory);
+  else
+    RS_RETURN_IF_ERROR(WriteInFolder(directory + kBegun, ""));
   if (set.episodes() > 0) RS_RETURN_IF_ERROR(set.WriteTables(set.info_));
   return set;
 }
@@ -364,6 +409,7 @@ absl::Status LerobotDataset::Append(const LerobotEpisode& episode) {
     return written;
   }
   info_ = std::move(info);
+  if (index == 0) ForgetBeginning(directory_);
   return absl::OkStatus();
 }
 

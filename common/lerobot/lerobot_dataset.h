@@ -1,6 +1,10 @@
 #pragma once
 
+#include <sys/types.h>
+
 #include <cstdint>
+#include <cstdio>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -47,13 +51,16 @@ std::string LerobotEpisodeFile(const std::string& directory, const char* folder,
 //   data/chunk-CCC/file-FFF.parquet           its steps: the schema's vectors,
 //                                             observation.images.CAMERA, timestamp, indices,
 //                                             next.reward, next.done, next.success
+//   meta/.lock                                one recorder a folder: it holds this file
+//   meta/.begun                               until the first info.json: what is here is ours
 //
 // A process that is killed leaves the episodes of the last info.json; files beyond them are
-// removed when the set is opened again. One process at a time.
+// removed when the set is opened again. Data that has neither info.json nor meta/.begun is
+// somebody else's: it is refused and stays.
 class LerobotDataset {
  public:
   // Makes the set, or goes on with the one in `directory`; then its schema must be the same: the
-  // error names field and values.
+  // error names field and values. FAILED_PRECONDITION while another recorder has it open.
   static absl::StatusOr<LerobotDataset> Open(const std::string& directory,
                                              const LerobotSchema& schema);
 
@@ -64,14 +71,27 @@ class LerobotDataset {
   int64_t frames() const { return info_.at("total_frames").get<int64_t>(); }
 
  private:
-  LerobotDataset(std::string directory, LerobotSchema schema, nlohmann::ordered_json info)
-      : directory_(std::move(directory)), schema_(std::move(schema)), info_(std::move(info)) {}
+  // A forked child has the file, too: it must neither keep the lock nor take it from its parent.
+  struct Release {
+    pid_t owner;
+    void operator()(std::FILE* file) const;
+  };
+  using Lock = std::unique_ptr<std::FILE, Release>;
+
+  LerobotDataset(std::string directory, LerobotSchema schema, nlohmann::ordered_json info,
+                 Lock lock)
+      : directory_(std::move(directory)),
+        schema_(std::move(schema)),
+        info_(std::move(info)),
+        lock_(std::move(lock)) {}
+  static absl::StatusOr<Lock> TakeLock(const std::string& directory);
   absl::Status WriteTables(const nlohmann::ordered_json& info) const;
   void RemoveUnfinished() const;
 
   std::string directory_;
   LerobotSchema schema_;
   nlohmann::ordered_json info_;  // meta/info.json
+  Lock lock_;
 };
 
 }  // namespace robostress

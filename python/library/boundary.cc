@@ -22,6 +22,10 @@ robostress_code CodeOf(const absl::Status& status) {
       return ROBOSTRESS_NOT_FOUND;
     case absl::StatusCode::kFailedPrecondition:
       return ROBOSTRESS_WRONG_ORDER;
+    case absl::StatusCode::kResourceExhausted:
+    case absl::StatusCode::kPermissionDenied:
+    case absl::StatusCode::kUnavailable:
+      return ROBOSTRESS_STORAGE;
     default:
       return ROBOSTRESS_INTERNAL;
   }

@@ -42,7 +42,8 @@ typedef enum robostress_code {
   ROBOSTRESS_INVALID_ARGUMENT = 3, /* a value that the message names */
   ROBOSTRESS_NOT_FOUND = 5,        /* a name; the message lists the known ones */
   ROBOSTRESS_WRONG_ORDER = 9,      /* a call that must follow another one */
-  ROBOSTRESS_INTERNAL = 13         /* a fault of this library */
+  ROBOSTRESS_INTERNAL = 13,        /* a fault of this library */
+  ROBOSTRESS_STORAGE = 14          /* a disk that is full, a file that cannot be written or read */
 } robostress_code;
 
 const char* robostress_version(void); /* "0.2.0" */
@@ -317,8 +318,8 @@ typedef struct robostress_frames {
   const size_t* const* picture_ends;    /* [cameras][steps] where each ends */
 } robostress_frames;
 
-/* Makes the set, or goes on with the one in `folder` that has the same schema. One process at a
-   time. */
+/* Makes the set, or goes on with the one in `folder` that has the same schema. One recorder a
+   folder: ROBOSTRESS_WRONG_ORDER while another one has it open. */
 robostress_code robostress_dataset_open(const char* folder, const robostress_schema* schema,
                                         robostress_dataset** opened, char* error,
                                         size_t error_size);

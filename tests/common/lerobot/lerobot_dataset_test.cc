@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include <filesystem>
+#include <memory>
 
 #include "common/atomic_file.h"
 #include "common/image.h"
@@ -141,12 +142,77 @@ TEST(LerobotDatasetTest, AKilledProcessLosesTheEpisodeUnderWayAndNoOther) {
 
 TEST(LerobotDatasetTest, AnEpisodeThatWasLeftHalfIsRemoved) {
   const std::string path = Fresh("half");
-  auto set = OpenAt(path);
-  ASSERT_TRUE(set.ok() && set->Append(Episode("a", 3)).ok());
-  const std::string left = path + "/data/chunk-000/file-001.parquet";
-  ASSERT_TRUE(WriteFileAtomically(left, "half").ok());
-  ASSERT_TRUE(OpenAt(path).ok());
-  EXPECT_FALSE(fs::exists(left));
+  for (const char* file : {"/file-000.parquet", "/file-001.parquet"}) {
+    const std::string left = path + "/data/chunk-000" + file;
+    ASSERT_TRUE(OpenAt(path).ok());
+    fs::create_directories(path + "/data/chunk-000");
+    ASSERT_TRUE(WriteFileAtomically(left, "half").ok());
+    auto set = OpenAt(path);
+    ASSERT_TRUE(set.ok()) << set.status();
+    EXPECT_FALSE(fs::exists(left));
+    EXPECT_TRUE(set->Append(Episode("a", 3)).ok());
+  }
+}
+
+TEST(LerobotDatasetTest, DataWithoutItsInfoIsNotOursAndStays) {
+  const auto refused = [](const std::string& path, const std::string& file) {
+    const auto set = OpenAt(path);
+    EXPECT_EQ(set.status().code(), absl::StatusCode::kFailedPrecondition);
+    EXPECT_THAT(std::string(set.status().message()), HasSubstr(path + " holds data without"));
+    EXPECT_TRUE(fs::exists(path + file));
+  };
+  const std::string file = "/data/chunk-000/file-000.parquet", theirs = Fresh("theirs");
+  fs::create_directories(theirs + "/data/chunk-000");
+  ASSERT_TRUE(WriteFileAtomically(theirs + file, "all episodes of somebody else").ok());
+  refused(theirs, file);
+  EXPECT_FALSE(fs::exists(theirs + "/meta")) << "nothing of ours is put there either";
+  const std::string lost = Fresh("lost");
+  {
+    auto set = OpenAt(lost);
+    ASSERT_TRUE(set.ok() && set->Append(Episode("a", 3)).ok());
+  }
+  fs::remove(lost + "/meta/info.json");
+  refused(lost, file);
+}
+
+TEST(LerobotDatasetTest, ThereIsOneRecorderAFolder) {
+  const std::string path = Fresh("two");
+  auto first = std::make_unique<absl::StatusOr<LerobotDataset>>(OpenAt(path));
+  ASSERT_TRUE(first->ok()) << first->status();
+  const auto second = OpenAt(path);
+  EXPECT_EQ(second.status().code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_THAT(std::string(second.status().message()),
+              HasSubstr("another recorder has " + path +
+                        " open, and there is one recorder a "
+                        "folder"));
+  // A child that was forked meanwhile, as by a worker pool, neither frees the folder nor keeps it.
+  int go_on[2];
+  ASSERT_EQ(pipe(go_on), 0);
+  const auto child_that_waits = [&] {
+    const pid_t child = fork();
+    if (child == 0) {
+      close(go_on[1]);
+      char byte = 0;
+      _exit(read(go_on[0], &byte, 1) == 0 ? 0 : 1);
+    }
+    return child;
+  };
+  const auto child_that_frees = [&] {
+    const pid_t child = fork();
+    if (child == 0) {
+      first.reset();
+      _exit(0);
+    }
+    return child;
+  };
+  int status = 0;
+  const pid_t waiting = child_that_waits();
+  ASSERT_EQ(waitpid(child_that_frees(), &status, 0) > 0, true);
+  EXPECT_FALSE(OpenAt(path).ok()) << "the parent has it still";
+  first.reset();
+  EXPECT_TRUE(OpenAt(path).ok()) << "the parent has closed it";
+  close(go_on[1]);
+  waitpid(waiting, &status, 0);
 }
 
 TEST(LerobotDatasetTest, RefusesAnotherSchemaAndNamesTheValues) {

@@ -73,6 +73,20 @@ TEST_F(LibraryDataset, HoldsWholeEpisodes) {
   EXPECT_EQ(robostress_dataset_episodes(set_), 2u);
 }
 
+TEST_F(LibraryDataset, AFolderHasOneRecorder) {
+  ASSERT_EQ(Open(), ROBOSTRESS_OK) << error_;
+  robostress_dataset* second = nullptr;
+  EXPECT_EQ(robostress_dataset_open(folder_.c_str(), &schema_, &second, error_, sizeof error_),
+            ROBOSTRESS_WRONG_ORDER);
+  EXPECT_THAT(std::string(error_), HasSubstr("one recorder a folder"));
+}
+
+TEST_F(LibraryDataset, WhatTheDiskRefusesIsNoFaultOfTheLibrary) {
+  EXPECT_EQ(robostress_dataset_open("/dev/null/set", &schema_, &set_, error_, sizeof error_),
+            ROBOSTRESS_STORAGE);
+  EXPECT_THAT(std::string(error_), HasSubstr("/dev/null/set"));
+}
+
 TEST_F(LibraryDataset, ASchemaThatIsNoneIsRefused) {
   schema_.size = 4;
   Refuses(Open(), "schema.size is 4");
