@@ -5,7 +5,7 @@
 
 Units: rad, rad/s, Nm, kg m^2, s, m. The kernels are those of RoboStress' own simulator, bit by bit.
 """
-from robostress._library import (InternalError, InvalidArgument, NotFound, RobostressError, Scenario, WrongOrder,
+from robostress._library import (InternalError, InvalidArgument, NotFound, RobostressError, Scenario, StorageError, WrongOrder,
                                  __version__, scenarios)
 from robostress.calibration import calibrate
 from robostress.client import PolicyClient
@@ -16,5 +16,5 @@ from robostress.streams import Stream
 from robostress.wrapping import WrappedEnvironment, wrap
 
 __all__ = ["Compensator", "DirectSubtraction", "EpisodeDataset", "GainControl", "IntegralAction", "InternalError", "InvalidArgument",
-           "JointErrors", "ModelFollowing", "NotFound", "PolicyClient", "RobostressError", "Scenario", "Stream",
+           "JointErrors", "ModelFollowing", "NotFound", "PolicyClient", "RobostressError", "Scenario", "StorageError", "Stream",
            "WrappedEnvironment", "WrongOrder", "__version__", "calibrate", "measured", "scenarios", "wrap"]

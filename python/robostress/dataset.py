@@ -4,13 +4,14 @@ from __future__ import annotations
 import ctypes
 import os
 import struct
+import threading
 import weakref
 import zlib
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from robostress._library import LIBRARY, Failures, Frames, InvalidArgument, Schema, WrongOrder, array
+from robostress._library import LIBRARY, Failures, Frames, InvalidArgument, Schema, Unshared, WrongOrder, array
 from robostress.compensation import Compensator
 
 ACTION = ("x", "y", "z", "rx", "ry", "rz", "gripper")
@@ -20,7 +21,8 @@ MOST_SIDE = 4096
 def measured(before: Tuple[Any, Any], after: Tuple[Any, Any], sent: Any, *, translation_scale: float = 0.05,
              rotation_scale: float = 0.5) -> np.ndarray:
     """[7] the displacement that a command `sent` brought, in units of a command, and its gripper entry. before, after:
-    position [m] and unit quaternion w x y z of the end effector."""
+    position [m] and unit quaternion w x y z of the end effector. Zeros where no arm moves so far in a step: over 1 m, over
+    2.5 rad."""
     compensator = Compensator("base", translation_scale=translation_scale, rotation_scale=rotation_scale)
     none = np.zeros((1, 7), np.float32)
     values = compensator.residual(*zip(before, after), policy=none, sent=none)[0]
@@ -43,7 +45,7 @@ def _texts(names: Sequence[str]) -> Any:
     return (ctypes.c_char_p * len(names))(*(name.encode() for name in names))
 
 
-class EpisodeDataset:
+class EpisodeDataset(Unshared):
     """A data set that grows by whole episodes, in a folder; opened again it goes on.
 
         with robostress.EpisodeDataset("data/worn", cameras=["image", "image2"]) as data:
@@ -53,8 +55,11 @@ class EpisodeDataset:
     Columns: observation.state, action (commanded: what the policy asked for), action.sent (what the controller got),
     action.measured (what the arm did), observation.images.CAMERA. state, action: how many entries, or their names. more:
     further columns by name, given to add() as `more`. fps: steps a second. Pictures are RGB, uint8 [height, width, 3], of
-    one size for each camera; they are kept as PNG. A process that dies loses the episode under way and no other.
+    one size for each camera; they are kept as PNG. A process that dies loses the episode under way and no other. One recorder
+    a folder; its methods may be called by several threads, and others go on while it writes.
     """
+
+    _instead = "open the folder again when this one is closed"
 
     def __init__(self, folder: Union[str, "os.PathLike[str]"], *, fps: int = 20, robot: str = "panda",
                  state: Union[int, Sequence[str]] = 8, action: Union[int, Sequence[str]] = ACTION,
@@ -65,6 +70,9 @@ class EpisodeDataset:
             if name in columns:
                 raise InvalidArgument(f"more has {name!r}, which is a column already; rename it")
             columns[name] = axes
+        if isinstance(cameras, str):
+            raise InvalidArgument(f"cameras is {cameras!r}, must be a list of names: [{cameras!r}]")
+        self._lock = threading.RLock()
         self._axes: Dict[str, List[str]] = {name: _names(name, axes) for name, axes in columns.items()}
         self.cameras, self._more = list(cameras), list(more or {})
         self._failures, handle = Failures(), ctypes.c_void_p()
@@ -83,12 +91,20 @@ class EpisodeDataset:
             **more: Any) -> None:
         """One step: what was seen before it, the command that was asked for, the one that was sent (None: the same), and
         what the arm did with it. more: the further columns, **{name: values}."""
+        with self._lock:
+            self._add(state, images, commanded, sent, measured, more)
+
+    def _add(self, state: Any, images: Mapping[str, Any], commanded: Any, sent: Optional[Any], measured: Any,
+             more: Mapping[str, Any]) -> None:
         self._check_open()
         if set(more) != set(self._more):
             raise InvalidArgument(f"columns {sorted(more)} are given, the set has {sorted(self._more)} beside its own")
         given = {"observation.state": state, "action": commanded, "action.sent": commanded if sent is None else sent,
                  "action.measured": measured, **more}
         row = {name: array(name, given[name], np.float32, len(axes)) for name, axes in self._axes.items()}
+        for name, values in row.items():
+            if not np.isfinite(values).all():
+                raise InvalidArgument(f"{name} of step {self._steps} is {values.tolist()}, must be finite numbers")
         if set(images) != set(self.cameras):
             raise InvalidArgument(f"pictures of {sorted(images)} are given, the set has cameras {sorted(self.cameras)}")
         pictures = {camera: self._picture(camera, images[camera]) for camera in self.cameras}
@@ -100,6 +116,10 @@ class EpisodeDataset:
 
     def end(self, instruction: str, success: bool) -> int:
         """Writes the episode; returns its index."""
+        with self._lock:
+            return self._end(instruction, success)
+
+    def _end(self, instruction: str, success: bool) -> int:
         self._check_open()
         if self._steps == 0:
             raise WrongOrder("the episode has no steps: add() some first")
@@ -122,25 +142,29 @@ class EpisodeDataset:
 
     def discard(self) -> None:
         """Forgets the episode under way."""
-        self._steps = 0
-        self._rows: Dict[str, List[np.ndarray]] = {name: [] for name in self._axes}
-        self._pictures: Dict[str, List[np.ndarray]] = {camera: [] for camera in self.cameras}
+        with self._lock:
+            self._steps = 0
+            self._rows: Dict[str, List[np.ndarray]] = {name: [] for name in self._axes}
+            self._pictures: Dict[str, List[np.ndarray]] = {camera: [] for camera in self.cameras}
 
     @property
     def episodes(self) -> int:
-        self._check_open()
-        return int(LIBRARY.robostress_dataset_episodes(self._handle))
+        with self._lock:
+            self._check_open()
+            return int(LIBRARY.robostress_dataset_episodes(self._handle))
 
     @property
     def steps(self) -> int:
         """Of all episodes."""
-        self._check_open()
-        return int(LIBRARY.robostress_dataset_steps(self._handle))
+        with self._lock:
+            self._check_open()
+            return int(LIBRARY.robostress_dataset_steps(self._handle))
 
     def close(self) -> None:
         """Once more does nothing. An episode under way is lost."""
-        self._free()
-        self._handle = None
+        with self._lock:
+            self._free()
+            self._handle = None
 
     def __enter__(self) -> "EpisodeDataset":
         return self
@@ -154,14 +178,15 @@ class EpisodeDataset:
 
     def _picture(self, camera: str, given: Any) -> np.ndarray:
         picture = np.asarray(given)
-        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not 0 < max(picture.shape[:2]) <= MOST_SIDE:
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not (
+                0 < min(picture.shape[:2]) and max(picture.shape[:2]) <= MOST_SIDE):
             raise InvalidArgument(f"picture of '{camera}' is {picture.dtype} {list(picture.shape)}, must be uint8 [height, "
-                                  f"width, 3], at most {MOST_SIDE} pixels a side")
+                                  f"width, 3], 1 to {MOST_SIDE} pixels a side")
         before = self._pictures[camera]
         if before and before[0].shape != picture.shape:
             raise InvalidArgument(f"picture of '{camera}' is {list(picture.shape)}, the episode's first was "
                                   f"{list(before[0].shape)}")
-        return np.array(picture)
+        return np.array(picture, order="C")  # a transposed one keeps its strides otherwise
 
 
 def _names(column: str, axes: Union[int, Sequence[str]]) -> List[str]:

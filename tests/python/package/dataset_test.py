@@ -1,14 +1,18 @@
 """Episodes of Python environments as data sets, read back with the libraries that LeRobot reads with."""
+import ctypes
 import json
 import os
 import pathlib
 import subprocess
 import sys
 import tempfile
+import threading
 import unittest
+import unittest.mock
 
 import numpy as np
 import robostress as rs
+from robostress._library import LIBRARY
 
 READER = pathlib.Path(__file__).resolve().parents[2] / "common/lerobot/read_dataset.py"
 
@@ -93,9 +97,12 @@ class Datasets(unittest.TestCase):
         self.assertEqual(data.end("x", True), 0)
         with self.assertRaisesRegex(rs.WrongOrder, "no steps"):
             data.end("x", True)
-        data.add(**{**good, "measured": np.full(7, np.nan)})
-        with self.assertRaisesRegex(rs.InvalidArgument, "feature action.measured holds nan, must be finite"):
-            data.end("x", True)
+        data.add(**good)
+        for change, message in (
+                ({"measured": np.full(7, np.nan)}, r"action.measured of step 1 is \[nan, .*must be finite"),
+                ({"images": {"image": np.zeros((0, 32, 3), np.uint8), "image2": picture(0)}}, r"\[0, 32, 3\], must be .* 1 to")):
+            with self.assertRaisesRegex(rs.InvalidArgument, message):
+                data.add(**{**good, **change})
         data.discard()
         data.add(**{**good, "images": {"image": picture(0, 8, 8), "image2": picture(0)}})
         with self.assertRaisesRegex(rs.InvalidArgument, r"observation.images.image is \[24,32,3\]"):
@@ -106,7 +113,8 @@ class Datasets(unittest.TestCase):
         with self.assertRaisesRegex(rs.WrongOrder, "closed"):
             data.add(**good)
         self.read_back()
-        for options, message in (({}, "info.json: feature torque is"), ({"fps": 10}, "fps is 20"), ({"fps": 2.5}, "whole number"),
+        for options, message in (({"cameras": "image"}, r"cameras is 'image', must be a list of names: \['image'\]"),
+                                 ({}, "info.json: feature torque is"), ({"fps": 10}, "fps is 20"), ({"fps": 2.5}, "whole number"),
                                  ({"robot": "ur5e"}, "robot_type"), ({"cameras": ["a/b"]}, "camera 'a/b'"),
                                  ({"more": {"next.done": 1}}, "feature next.done already"),
                                  ({"more": {"action": 1}}, "which is a column already"),
@@ -114,6 +122,68 @@ class Datasets(unittest.TestCase):
             with self.assertRaisesRegex(rs.InvalidArgument, message):
                 rs.EpisodeDataset(self.folder, **options)
         self.assertEqual(json.loads((self.folder / "meta/info.json").read_text())["total_episodes"], 1)
+
+    def test_pictures_that_are_turned_or_mirrored_have_their_statistics(self):
+        channels_first = np.stack([np.full((24, 32), 200 - 100 * c, np.uint8) for c in range(3)])
+        channels_first[:, :, :8] //= 2
+        for name, given in (("turned", channels_first.transpose(1, 2, 0)),
+                            ("mirrored", channels_first.transpose(1, 2, 0)[:, ::-1])):
+            with self.subTest(name), rs.EpisodeDataset(self.folder / name, cameras=["image"]) as data:
+                for _ in range(3):
+                    data.add(np.zeros(8), {"image": given}, commanded=np.zeros(7), measured=np.zeros(7))
+                data.end("x", True)
+                told = json.loads((self.folder / name / "meta/stats.json").read_text())["observation.images.image"]
+                np.testing.assert_allclose(np.ravel(told["mean"]) * 255, given.mean(axis=(0, 1)), rtol=1e-6)
+
+    def test_a_folder_has_one_recorder(self):
+        with rs.EpisodeDataset(self.folder) as data:
+            with self.assertRaisesRegex(rs.WrongOrder, f"{self.folder} open, and there is one recorder a folder"):
+                rs.EpisodeDataset(self.folder)
+            fill(data, 3)
+            data.end("x", True)
+        self.assertEqual(sorted(path.name for path in (self.folder / "meta").iterdir()),
+                         [".lock", "episodes", "info.json", "stats.json", "tasks.parquet"])
+        self.read_back()
+        rs.EpisodeDataset(self.folder).close()
+
+    def test_data_of_others_stays(self):
+        theirs = self.folder / "data/chunk-000/file-000.parquet"
+        theirs.parent.mkdir(parents=True)
+        theirs.write_text("all episodes")
+        with self.assertRaisesRegex(rs.WrongOrder, "holds data without .*info.json; record into another folder"):
+            rs.EpisodeDataset(self.folder)
+        self.assertEqual(theirs.read_text(), "all episodes")
+
+    def test_what_the_disk_refuses_is_no_fault_of_the_library(self):
+        with self.assertRaisesRegex(rs.StorageError, "/dev/null/set") as caught:
+            rs.EpisodeDataset("/dev/null/set")
+        self.assertIsInstance(caught.exception, OSError)
+
+    def test_other_threads_go_on_while_an_episode_is_written(self):
+        entered, go_on = threading.Event(), threading.Event()
+        append = LIBRARY.robostress_dataset_append
+        self.assertFalse(append._flags_ & ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_, "it keeps the interpreter")
+
+        def slow(*given):
+            entered.set()
+            go_on.wait(10)
+            return append(*given)
+
+        with rs.EpisodeDataset(self.folder) as data:
+            fill(data, 3)
+            with unittest.mock.patch.object(LIBRARY, "robostress_dataset_append", slow):
+                writer = threading.Thread(target=data.end, args=("x", True))
+                writer.start()
+                entered.wait(10)
+                closer = threading.Thread(target=data.close)
+                closer.start()
+                closer.join(0.2)
+                self.assertTrue(closer.is_alive(), "close() waits for the episode")
+                go_on.set()
+                writer.join()
+                closer.join()
+        with rs.EpisodeDataset(self.folder) as data:
+            self.assertEqual(data.episodes, 1)
 
 
 if __name__ == "__main__":
