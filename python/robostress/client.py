@@ -45,8 +45,7 @@ class PolicyClient:
             client.infer(observation, executed={"p_base_tool": ..., ...})  # with what the arm did
 
     method, method_options and the keys of `session` are of a RoboStress server, as is `executed`; others ignore them. timeout:
-    [s] for an answer. Whatever ends infer() behind its question, a timeout or Ctrl-C, ends the connection too: the answer to
-    it would be taken for the next one's.
+    [s] for an answer. A timeout or Ctrl-C in infer() ends the connection, else its late answer would be taken for the next.
     """
 
     def __init__(self, uri: str, *, method: Optional[str] = None, method_options: Any = (),
