@@ -16,8 +16,8 @@ struct MergeResult {
 
 // Brings the finished units of several stores into one, `target`, which may be new or one of an
 // earlier merge. Equal units are counted once. Nothing is written and FailedPrecondition lists
-// everything when units are damaged, conflict, or ran on different weights. A unit is copied beside
-// and renamed, so that a merge that is killed is completed by the same command.
+// everything when units are damaged, conflict, or ran on different weights or options. A unit is
+// copied beside and renamed, so that a merge that is killed is completed by the same command.
 absl::StatusOr<MergeResult> MergeStores(const std::vector<std::string>& stores,
                                         const std::string& target);
 

@@ -162,9 +162,10 @@ class UnitReader {
   void ReadProvenance(const std::string& file, const std::string& text) {
     json provenance = json::parse(text, nullptr, false);
     if (!provenance.is_object()) return Damage(file + " is not a JSON object");
+    bool sound = true;
     for (const char* key : {"model_hash", "version", "noise_paired", "options"})
-      MustBeText(file, provenance, key);
-    result_.unit.provenance = std::move(provenance);
+      sound = MustBeText(file, provenance, key) && sound;
+    if (sound) result_.unit.provenance = std::move(provenance);
   }
 
   void ReadExtras() {

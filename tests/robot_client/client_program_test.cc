@@ -151,6 +151,18 @@ TEST(ClientProgramTest, DrivesHomeWhereAPersonHasConfiguredIt) {
               AllOf(HasSubstr("\"episode\":0"), Not(HasSubstr("\"episode\":-1"))));
 }
 
+TEST(ClientProgramTest, StartsNoPolicyWhileTheArmIsOutOfItsWorkspace) {
+  std::string out;
+  const auto [text, code] = WithServer("outside",
+                                       "printf 'enable\\nstart\\nquit\\n' | $client $common --set "
+                                       "'control.workspace.upper=[0.2, 0.5, 1.0]'",
+                                       &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("refused: start: the client is ENABLED; the arm is "),
+                          HasSubstr(" mm into the workspace box: a policy runs only inside"),
+                          HasSubstr("control.workspace"), Not(HasSubstr("RUN"))));
+}
+
 TEST(ClientProgramTest, HasNoHomeUnlessToldWhereItIs) {
   std::string out;
   const auto [text, code] =
@@ -265,7 +277,8 @@ TEST(ClientProgramTest, AClosedOutputEndsNothing) {
 
 TEST(ClientProgramTest, RefusesBadInput) {
   const auto run = [](const std::string& arguments) {
-    return RunProgram(ROBOT_CLIENT, arguments + " --out " + ::testing::TempDir() + "/refused");
+    return RunProgram("timeout 60 " ROBOT_CLIENT,
+                      arguments + " --out " + ::testing::TempDir() + "/refused");
   };
   auto [text, code] = run("--bus can:can0 --automatic --server 127.0.0.1:1 --instruction x");
   EXPECT_EQ(code, 2);

@@ -121,7 +121,7 @@ class Suites(unittest.TestCase):
     def test_bad_arguments_say_what_is_wrong(self):
         with self.assertRaisesRegex(robostress.RobostressError, "no_such"):
             self.made(scenario="no_such").get_tasks()
-        with self.assertRaisesRegex(robostress.RobostressError, "rows is 0, must be 1 or more"):
+        with self.assertRaisesRegex(robostress.RobostressError, "rows is 0, must be 1 to 1024"):
             self.made(compensation="gain", compensation_rows=0)
         with self.assertRaisesRegex(robostress.RobostressError, "nonsense"):
             self.made(compensation="nonsense")
