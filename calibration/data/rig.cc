@@ -51,15 +51,6 @@ class Entry {
       if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
         return Error("unknown key '", key, "'; known: ", absl::StrJoin(allowed, ", "));
     }
-    return CheckOnce();
-  }
-  // Of two equal keys one would be lost.
-  absl::Status CheckOnce() const {
-    std::set<std::string> seen;
-    for (const auto& pair : node_) {
-      if (!seen.insert(pair.first.Scalar()).second)
-        return Error("key '", pair.first.Scalar(), "' is given twice; remove one");
-    }
     return absl::OkStatus();
   }
   // Of a key that stands twice the reader of YAML takes one and says nothing.
@@ -67,7 +58,7 @@ class Entry {
     std::set<std::string> seen;
     for (const auto& pair : node_) {
       if (!seen.insert(pair.first.Scalar()).second)
-        return Error("key '", pair.first.Scalar(), "' stands twice; leave one");
+        return Error("key '", pair.first.Scalar(), "' is given twice; remove one");
     }
     return absl::OkStatus();
   }

@@ -99,7 +99,7 @@ UnitConfig RemoteUnit(const UnitConfig& unit) {
 
 UnitConfig ScenarioUnit(const UnitConfig& unit) {
   UnitConfig config;
-  config.scenario = ScenarioHash(unit);
+  config.scenario = ScenarioHash(unit).substr(0, 12);
   return config;
 }
 

@@ -374,7 +374,7 @@ TEST_F(RigGates, RefusesKeysThatStandTwice) {
   };
   EXPECT_THAT(
       message("name: hinge, input: position_target, servo: {kp: 20, kp: 2000}", "file: a.csv"),
-      HasSubstr("joints[0].servo: key 'kp' stands twice; leave one"));
+      HasSubstr("joints[0].servo: key 'kp' is given twice; remove one"));
   EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.damping: 1, hinge.damping: 2}"),
               HasSubstr("logs[0].overrides: key 'hinge.damping' stands twice"));
   EXPECT_THAT(message("name: hinge, input: torque, fit: [damping, damping]", "file: a.csv"),

@@ -185,7 +185,7 @@ TEST_F(SweepProgram, AUnitThatWouldBePlayedUnlikeTheOthersIsRefused) {
                                   "and its default in "
                                   "tabletop_goal-heavy_payload-L5-nano-base-s0"));
   EXPECT_THAT(output(), HasSubstr("Choose another --out, or repeat the options of"));
-  EXPECT_EQ(Sweep(goal + "--methods null --episodes 1 " + run), 0)
+  EXPECT_EQ(Sweep("--tasks 1 --episodes 1 --scenarios heavy_payload --methods null " + run), 0)
       << "fewer episodes pair as well\n"
       << output();
   EXPECT_EQ(Sweep(goal + "--methods ours --seeds 1 --set method.rank=2 " + run), 0)

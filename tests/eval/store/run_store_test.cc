@@ -247,6 +247,22 @@ TEST(LoadRun, ReadsAUnitUnderItsOlderName) {
   EXPECT_TRUE(data->unfinished.empty()) << "the grid's unit is that one";
 }
 
+TEST(RunDirectory, DoesNotPlayAUnitAgainThatHasAnOlderName) {
+  const RunDirectory run(TestFolder());
+  PlannedUnit unit;
+  unit.config.policy = "checkpoints/pi0.5";
+  unit.id = UnitId(unit.config);
+  const std::string older = run.Unit(OlderUnitId(unit.config));
+  ASSERT_TRUE(MakeDirectories(older).ok());
+  ASSERT_TRUE(WriteFileAtomically(older + "/config.yaml", DumpConfig(unit.config)).ok());
+  EXPECT_THAT(std::string(run.CheckStarted({}, {unit}).message()),
+              AllOf(HasSubstr(older +
+                              " was begun by a version up to 0.2, and this one calls the "
+                              "unit " +
+                              unit.id),
+                    HasSubstr("Choose another --out")));
+}
+
 TEST(LoadRun, SaysWhenAFolderIsNoRun) {
   const std::string folder = TestFolder();
   EXPECT_THAT(std::string(LoadRun(folder).status().message()), HasSubstr("not a run directory"));
