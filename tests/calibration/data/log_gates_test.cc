@@ -376,13 +376,13 @@ TEST_F(RigGates, RefusesKeysThatStandTwice) {
       message("name: hinge, input: position_target, servo: {kp: 20, kp: 2000}", "file: a.csv"),
       HasSubstr("joints[0].servo: key 'kp' is given twice; remove one"));
   EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.damping: 1, hinge.damping: 2}"),
-              HasSubstr("logs[0].overrides: key 'hinge.damping' stands twice"));
+              HasSubstr("logs[0].overrides: key 'hinge.damping' is given twice"));
   EXPECT_THAT(message("name: hinge, input: torque, fit: [damping, damping]", "file: a.csv"),
               HasSubstr("joints[0].fit[1]: is 'damping' again; leave one"));
   const auto metrics =
       Read(Text(kJoint, "file: a.csv") + "metric: {unit: m}\nmetric: {unit: rad}\n");
   EXPECT_THAT(std::string(metrics.status().message()),
-              HasSubstr("rig.yaml: key 'metric' stands twice"));
+              HasSubstr("rig.yaml: key 'metric' is given twice"));
 }
 
 TEST_F(RigGates, RefusesValuesThatNoMachineHas) {

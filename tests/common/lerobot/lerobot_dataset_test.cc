@@ -246,6 +246,7 @@ TEST(LerobotDatasetTest, RefusesAnotherSchemaAndNamesTheValues) {
   larger.width[0] = 128;
   fails(set->Append(larger), "observation.images.base is [48,64,3], this recording has [48,128,3]");
   EXPECT_EQ(set->episodes(), 1);
+  set = absl::CancelledError("closed");
   const std::string file = path + "/meta/info.json";
   const nlohmann::ordered_json whole = nlohmann::ordered_json::parse(ReadFile(file).value());
   const auto damaged = [&](const char* place, const nlohmann::ordered_json& value) {
