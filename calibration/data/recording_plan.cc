@@ -167,8 +167,7 @@ void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint, Rec
       if (moves && distance > kNear * position.span()) {
         refused = absl::StrFormat(
             "the command of %s in %s stays %.3g from a joint that spans %.3g: a step, another "
-            "unit, "
-            "or another joint's? It is not taken",
+            "unit, or another joint's? It is not taken",
             signal.description.joint,
             statistics.channels()[signal.description.channel].description.name, distance,
             position.span());
