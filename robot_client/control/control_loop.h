@@ -148,6 +148,9 @@ class ControlLoop {
   const TickRecord& last_record() const { return record_; }  // control thread
 
  private:
+  static constexpr double kNsPerSecond = 1e9;
+  static constexpr uint32_t kGoing = kRequestClear | kRequestStart | kRequestMove;
+
   struct Reader {
     SpscRing<TickRecord>* ring;
     bool lost;
