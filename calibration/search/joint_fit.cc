@@ -125,6 +125,8 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
   options.linear_solver_type = ceres::DENSE_QR;
   options.function_tolerance = tolerance;
   options.parameter_tolerance = 1e-7;
+  // A step is shortened by its errors alone; with Ceres' default, CUBIC, every try differentiates.
+  options.line_search_interpolation_type = ceres::QUADRATIC;
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &solver, &summary);
