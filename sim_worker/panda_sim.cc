@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <cstring>
+#include <iterator>
 #include <mutex>
 #include <utility>
 #include <vector>
@@ -226,7 +228,10 @@ void PandaSim::Restore(const Snapshot& snapshot) {
   Impl& s = *impl_;
   mjData* d = s.data.get();
   RS_CHECK(static_cast<int>(snapshot.qpos.size()) == s.model->nq);
-  mj_resetData(s.model.get(), d);
+  // Everything that a step reads and does not compute; mj_resetData would clear its megabytes too.
+  mju_zero(d->qfrc_applied, s.model->nv);
+  mju_zero(d->xfrc_applied, 6 * s.model->nbody);
+  std::fill(std::begin(d->warning), std::end(d->warning), mjWarningStat{});
   s.episode = snapshot.episode;
   d->time = snapshot.time;
   std::copy(snapshot.qpos.begin(), snapshot.qpos.end(), d->qpos);

@@ -122,21 +122,26 @@ void ModelInversion::Synchronise(const RobotState& now) {
   if (truth_ == nullptr) SetArm(*model_, &now.q, now.dq);
 }
 
-absl::StatusOr<std::vector<Vector6>> ModelInversion::Motions(PandaSim& sim,
-                                                             const Eigen::MatrixXf& rows,
-                                                             const Vector6& d, int steps,
-                                                             Eigen::VectorXd* velocity) {
+absl::Status ModelInversion::Play(PandaSim& sim, const Eigen::MatrixXf& rows, const Vector6& d,
+                                  int steps, AfterRow after) {
   const RobotState from = sim.Measure();
-  std::vector<Vector6> motions;
   for (int k = 0; k < steps; ++k) {
     Vector7 command = rows.row(k).transpose().cast<double>();
     command.head<6>() = (command.head<6>() + d).cwiseMax(-1.0).cwiseMin(1.0);
     RS_RETURN_IF_ERROR(sim.StepExact(command));
-    const RobotState to = sim.Measure();
-    motions.push_back(Motion(from, to));
-    if (k == 0 && velocity != nullptr) *velocity = to.dq;
+    if (!after(k, Motion(from, sim.Measure()))) break;
   }
-  return motions;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<ModelInversion::Vector6> ModelInversion::FirstMotion(PandaSim& sim,
+                                                                    const Eigen::MatrixXf& rows) {
+  Vector6 first;
+  RS_RETURN_IF_ERROR(Play(sim, rows, Vector6::Zero(), 1, [&](int, const Vector6& motion) {
+    first = motion;
+    return false;
+  }));
+  return first;
 }
 
 absl::StatusOr<Eigen::VectorXf> ModelInversion::Command(const Eigen::MatrixXf& rows,
@@ -149,8 +154,13 @@ absl::StatusOr<Eigen::VectorXf> ModelInversion::Command(const Eigen::MatrixXf& r
 
   errorless_->RestoreMotion(*here);
   SetArm(*errorless_, nullptr, nominal_velocity_);
-  RS_ASSIGN_OR_RETURN(const std::vector<Vector6> wanted,
-                      Motions(*errorless_, rows, Vector6::Zero(), steps, &nominal_velocity_));
+  std::vector<Vector6> wanted;
+  RS_RETURN_IF_ERROR(
+      Play(*errorless_, rows, Vector6::Zero(), steps, [&](int k, const Vector6& motion) {
+        if (k == 0) nominal_velocity_ = errorless_->Measure().dq;
+        wanted.push_back(motion);
+        return true;
+      }));
   wanted_ = wanted[0];
 
   double squares = 0;
@@ -159,14 +169,14 @@ absl::StatusOr<Eigen::VectorXf> ModelInversion::Command(const Eigen::MatrixXf& r
   double least = std::numeric_limits<double>::infinity(), stride = 1;
   for (int i = 0; i < options_.tries; ++i) {
     model_->Restore(*here);
-    RS_ASSIGN_OR_RETURN(const std::vector<Vector6> motions, Motions(*model_, rows, d, steps));
     Vector6 change = Vector6::Zero();
     double cost = 0;
-    for (int k = 0; k < steps; ++k) {
-      const Vector6 missing = wanted[k] + shortfall_ - motions[k];
+    RS_RETURN_IF_ERROR(Play(*model_, rows, d, steps, [&](int k, const Vector6& motion) {
+      const Vector6 missing = wanted[k] + shortfall_ - motion;
       cost += missing.squaredNorm();
       change += response_[k] / squares * missing;
-    }
+      return cost < least;
+    }));
     if (cost < least) {
       least = cost;
       best = d;
@@ -184,12 +194,9 @@ absl::StatusOr<Eigen::VectorXf> ModelInversion::Command(const Eigen::MatrixXf& r
   if (truth_ != nullptr) return sent;
   const Eigen::MatrixXf one = sent.transpose();
   errorless_->RestoreMotion(*here);
-  RS_ASSIGN_OR_RETURN(const std::vector<Vector6> without,
-                      Motions(*errorless_, one, Vector6::Zero(), 1));
-  unexplained_ = without[0];
+  RS_ASSIGN_OR_RETURN(unexplained_, FirstMotion(*errorless_, one));
   model_->Restore(*here);
-  RS_ASSIGN_OR_RETURN(const std::vector<Vector6> with, Motions(*model_, one, Vector6::Zero(), 1));
-  predicted_ = with[0];
+  RS_ASSIGN_OR_RETURN(predicted_, FirstMotion(*model_, one));
   after_ = model_->Save();
   return sent;
 }

@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
 #include "absl/status/statusor.h"
 #include "common/joint_errors/scenarios.h"
 #include "common/rollout/command_inversion.h"
@@ -37,9 +38,10 @@ struct InversionOptions {
 // w       -                         confidence, 0..1
 //
 // d is found by `tries` steps of Gauss-Newton with the response of the nominal arm, halved where a
-// step made it worse. w = (E_0 - E) / (E_0 + floor^2), not below 0: E and E_0 are running means of
-// the squared error of the last step's prediction by the model and by an arm without errors. A
-// model that explains no more than nothing at all corrects nothing.
+// step made it worse; a try is given up at the row where it is worse than the best. w = (E_0 - E) /
+// (E_0 + floor^2), not below 0: E and E_0 are running means of the squared error of the last step's
+// prediction by the model and by an arm without errors. A model that explains no more than nothing
+// at all corrects nothing.
 class ModelInversion : public CommandInversion {
  public:
   // Of what was identified. The model is the bare arm: it touches nothing and holds nothing.
@@ -76,10 +78,13 @@ class ModelInversion : public CommandInversion {
   // The model where the arm is now.
   void Synchronise(const RobotState& now);
   void SetArm(PandaSim& sim, const Eigen::VectorXd* q, const Eigen::VectorXd& dq) const;
-  // Displacements after each of the rows plus d, [steps]; velocity: [7] after the first.
-  static absl::StatusOr<std::vector<Vector6>> Motions(PandaSim& sim, const Eigen::MatrixXf& rows,
-                                                      const Vector6& d, int steps,
-                                                      Eigen::VectorXd* velocity = nullptr);
+  // Called with k and the displacement after row k; false: enough was seen.
+  using AfterRow = absl::FunctionRef<bool(int k, const Vector6& motion)>;
+  // Plays up to `steps` of the rows, d added to each.
+  static absl::Status Play(PandaSim& sim, const Eigen::MatrixXf& rows, const Vector6& d, int steps,
+                           AfterRow after);
+  // The displacement after the first row.
+  static absl::StatusOr<Vector6> FirstMotion(PandaSim& sim, const Eigen::MatrixXf& rows);
 
   const InversionOptions options_;
   const PandaSim* const truth_;  // null: identified
