@@ -13,7 +13,6 @@
 namespace robostress::calibration {
 namespace {
 
-// Ceres' view of a problem: one block of residuals, one of parameters.
 constexpr size_t kTrials = 2;        // starts that are followed
 constexpr int kTrialIterations = 3;  // of each, before the better goes on
 constexpr int kSettleIterations = 12;
@@ -27,29 +26,54 @@ constexpr double kCommandGain = 0.03;    // of the same
 constexpr double kNeedless = 0.005;      // of the error
 constexpr double kStiction = 1.25;       // Fs / Fc of further starts
 
+// What a model predicts wrongly, kept for the last x: Ceres asks for a step's cost, then for its
+// residuals, then for their slopes.
+class Residuals {
+ public:
+  Residuals(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen)
+      : problem_(problem), h_(h), chosen_(chosen) {}
+  const Eigen::VectorXd& At(const Eigen::VectorXd& x) {
+    if (r_.size() == 0 || x_ != x) {
+      r_ = problem_.Projected(ModelAt(h_, x), chosen_);
+      x_ = x;
+    }
+    return r_;
+  }
+  Eigen::MatrixXd Jacobian(const Eigen::VectorXd& x) {
+    return problem_.Jacobian(h_, x, At(x), chosen_);
+  }
+  double Rms(const Eigen::VectorXd& x) {
+    const Eigen::VectorXd& r = At(x);
+    return r.size() == 0 ? 0 : std::sqrt(r.squaredNorm() / static_cast<double>(r.size()));
+  }
+
+ private:
+  const JointProblem& problem_;
+  const Hypothesis& h_;
+  const WindowSet& chosen_;
+  Eigen::VectorXd x_, r_;
+};
+
+// Ceres' view of a problem: one block of residuals, one of parameters.
 class Cost : public ceres::CostFunction {
  public:
-  Cost(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen, double unit,
-       int* evaluations)
-      : problem_(problem), h_(h), chosen_(chosen), unit_(unit), evaluations_(evaluations) {
-    mutable_parameter_block_sizes()->push_back(static_cast<int>(h.free.size()));
-    set_num_residuals(problem.Rows(chosen));
+  Cost(Residuals* residuals, int rows, int parameters, double unit)
+      : residuals_(*residuals), parameters_(parameters), unit_(unit) {
+    mutable_parameter_block_sizes()->push_back(parameters);
+    set_num_residuals(rows);
   }
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
-    const Eigen::VectorXd x =
-        Eigen::Map<const Eigen::VectorXd>(parameters[0], static_cast<int>(h_.free.size()));
-    const Eigen::VectorXd r = problem_.Projected(ModelAt(h_, x), chosen_) / unit_;
-    ++*evaluations_;
+    const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(parameters[0], parameters_);
+    const Eigen::VectorXd r = residuals_.At(x) / unit_;
     if (!r.allFinite()) return false;
     // Pseudo-Huber at three units, so that a window that bifurcates does not decide.
     const Eigen::ArrayXd a = r.array() / 3, root = (1 + a.square()).sqrt();
     const Eigen::ArrayXd robust = 3 * r.array().sign() * (2 * (root - 1)).max(0).sqrt();
     Eigen::Map<Eigen::VectorXd>(residuals, r.size()) = robust.matrix();
     if (jacobians == nullptr || jacobians[0] == nullptr) return true;
-    const Eigen::MatrixXd J = problem_.Jacobian(h_, x, r * unit_, chosen_) / unit_;
+    const Eigen::MatrixXd J = residuals_.Jacobian(x) / unit_;
     if (!J.allFinite()) return false;
-    *evaluations_ += static_cast<int>(h_.free.size());
     // d robust / d r = (r / 3) / root / (robust / 3), 1 at zero.
     const Eigen::ArrayXd slope =
         (robust.abs() < 1e-9)
@@ -61,11 +85,9 @@ class Cost : public ceres::CostFunction {
   }
 
  private:
-  const JointProblem& problem_;
-  const Hypothesis& h_;
-  const WindowSet& chosen_;
-  double unit_;
-  int* evaluations_;
+  Residuals& residuals_;
+  const int parameters_;
+  const double unit_;
 };
 
 // [rad/s] Exceeded by a twentieth of the rows; robust to single wrong readings.
@@ -102,20 +124,19 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
                   int max_iterations, double tolerance) {
   JointFit fit;
   fit.best = h;
-  const auto rms_at = [&](const Eigen::VectorXd& x) {
-    const Eigen::VectorXd r = problem.Projected(ModelAt(h, x), chosen);
-    return r.size() == 0 ? 0 : std::sqrt(r.squaredNorm() / static_cast<double>(r.size()));
-  };
+  Residuals residuals(problem, h, chosen);
   Eigen::VectorXd x = h.x;
   for (size_t i = 0; i < h.free.size(); ++i)
     x[static_cast<int>(i)] = std::clamp(x[static_cast<int>(i)], h.free[i].lower, h.free[i].upper);
-  fit.rms = rms_at(x);
+  fit.rms = residuals.Rms(x);
   fit.at_bound.assign(h.free.size(), 0);
   fit.best.x = x;
   if (h.free.empty() || problem.Rows(chosen) == 0 || max_iterations == 0) return fit;
   const double unit = std::max(fit.rms, 1e-12);
   ceres::Problem solver;
-  solver.AddResidualBlock(new Cost(problem, h, chosen, unit, &fit.evaluations), nullptr, x.data());
+  solver.AddResidualBlock(
+      new Cost(&residuals, problem.Rows(chosen), static_cast<int>(x.size()), unit), nullptr,
+      x.data());
   for (size_t i = 0; i < h.free.size(); ++i) {
     solver.SetParameterLowerBound(x.data(), static_cast<int>(i), h.free[i].lower);
     solver.SetParameterUpperBound(x.data(), static_cast<int>(i), h.free[i].upper);
@@ -131,7 +152,7 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
   ceres::Solver::Summary summary;
   ceres::Solve(options, &solver, &summary);
   fit.best.x = x;
-  fit.rms = rms_at(x);
+  fit.rms = residuals.Rms(x);
   MarkBounds(fit);
   return fit;
 }

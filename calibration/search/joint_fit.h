@@ -10,7 +10,6 @@ struct JointFit {
   Hypothesis best;             // x at the minimum
   double rms = 0;              // projected, over the windows fitted
   std::vector<char> at_bound;  // [free]
-  int evaluations = 0;
 };
 
 // Sets at_bound from best.
