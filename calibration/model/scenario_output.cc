@@ -5,6 +5,7 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
@@ -88,6 +89,21 @@ bool WasDeclared(const RigJoint& declared, const DeclaredEffect& effect) {
                      });
 }
 
+// A length or a speed that was fitted as 0 is a limit, of bristles without a way for instance,
+// which a scenario holds as the least that it can divide by.
+void RaiseDivisors(const EffectInfo& info, const RobotDescription& arm, const std::string& what,
+                   ScenarioEffect& effect, std::vector<std::string>& notes) {
+  for (size_t i = 0; i < info.parameters.size(); ++i) {
+    const EffectParameter& parameter = info.parameters[i];
+    const double least = RangeInScenario(info, i, arm, effect.joint).lower;
+    double& value = effect.values[i];
+    if (parameter.inverse || parameter.lower != 0 || value < 0 || value >= least) continue;
+    notes.push_back(absl::StrFormat("%s: %s is written as %.3g %s, the least that a scenario holds",
+                                    what, parameter.name, least, parameter.unit));
+    value = least;
+  }
+}
+
 // What a scenario file may hold is said in one place.
 absl::Status FitsScenario(const ScenarioEffect& effect, const RobotDescription& arm) {
   ScenarioFile alone;
@@ -169,6 +185,7 @@ absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& aft
       }
       for (const int arm_joint : mapped->second.arm_joints) {
         found.joint = arm_joint;
+        RaiseDivisors(*info, arm, what, found, output.notes);
         if (absl::Status fits = FitsScenario(found, arm); fits.ok()) {
           output.scenario.effects.push_back(found);
         } else {

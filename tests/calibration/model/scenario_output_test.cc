@@ -96,6 +96,16 @@ TEST_F(ScenarioOutputTest, LeavesOutWhatTheArmsJointCannotBeGivenAndSaysSo) {
   EXPECT_THAT(output->notes, testing::ElementsAre(HasSubstr("torque ratio")));
 }
 
+TEST_F(ScenarioOutputTest, WritesALengthOfZeroAsTheLeastThatAScenarioHolds) {
+  Add(0, "presliding_hysteresis", {{"F", 3.4}, {"x_s", 0}});
+  const auto output = Make({"hinge=J1+J7"});
+  ASSERT_TRUE(output.ok()) << output.status();
+  ASSERT_EQ(output->scenario.effects.size(), 2u);
+  for (const ScenarioEffect& effect : output->scenario.effects)
+    EXPECT_THAT(effect.values, ElementsAre(3.4, testing::DoubleNear(3.14159e-6, 1e-10)));
+  EXPECT_THAT(output->notes, ElementsAre(HasSubstr("x_s is written as 3.14e-06 rad")));
+}
+
 TEST_F(ScenarioOutputTest, IsAbsentWhereNothingWasAdded) {
   EXPECT_EQ(Make({"hinge=J1"}).status().code(), absl::StatusCode::kFailedPrecondition);
 }
