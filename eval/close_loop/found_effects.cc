@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <map>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -31,8 +32,12 @@ void TakeVerdict(const nlohmann::json& report, FoundEffect& effect) {
     effect.verdict = joint.value("verdict", "");
     for (const auto& added : joint.value("effects_added", nlohmann::json::array())) {
       if (added.value("type", "") != effect.type) continue;
-      for (const auto& rival : added.value("ambiguous_with", nlohmann::json::array()))
-        effect.ambiguous_with.push_back(rival.get<std::string>());
+      // Effects between two joints are told once for every partner.
+      for (const auto& rival : added.value("ambiguous_with", nlohmann::json::array())) {
+        const auto type = rival.get<std::string>();
+        if (!absl::c_linear_search(effect.ambiguous_with, type))
+          effect.ambiguous_with.push_back(type);
+      }
     }
   }
 }
