@@ -12,7 +12,7 @@ set(programs_evaluation robostress robostress-sweep robostress-report robostress
 set(programs_worker robostress-worker robostress-environment robostress-suites robostress-record robostress-replay robostress-libero robostress-piper-worker
   piper_emulator piper_residual)
 set(programs_robot-client robot_client robostress-proxy)
-set(programs_calibration robostress-calibrate robostress-excite robostress-log robostress-record-to-rig robostress-fidelity robostress-close-loop robostress-identify)
+set(programs_calibration robostress-calibrate robostress-excite robostress-log robostress-record-to-rig robostress-fidelity robostress-close-loop robostress-identify robostress-urdf)
 set(programs_server robostress-serve robostress-sessions robostress-policy robostress-tokenize robostress-train)
 
 # Pages and completions, from the table of options that each program prints.

@@ -62,6 +62,7 @@ constexpr Command kCommands[] = {
     {"excite", "Design the motion that tells what a robot's model lacks", "ROBOSTRESS_MUJOCO"},
     {"log", "Say what a recording of an arm holds; write its first rig for calibrate",
      "ROBOSTRESS_MUJOCO"},
+    {"urdf", "Write an MJCF model as URDF, which robot_client reads", "ROBOSTRESS_MUJOCO"},
     {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate",
      "ROBOSTRESS_MUJOCO"},
     {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare",

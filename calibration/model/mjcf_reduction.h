@@ -10,15 +10,19 @@
 namespace robostress::calibration {
 
 struct MjcfReduction {
-  std::string xml;  // needs no other file
+  std::string xml;  // needs no other file but meshes
   std::vector<ModelFact> facts;
 };
 
-// The rigid bodies, joints and sites of an MJCF file, for a model whose meshes are missing or that
-// is written for a newer MuJoCo: shapes, actuators, sensors, contacts, tendons and constraints are
-// left out, since no term of a joint's equation of motion needs them.
-// FAILED_PRECONDITION, with line and remedy, where the rest would be another machine: a body that
-// moves has shapes and no <inertial>, or parts stand in other files.
-absl::StatusOr<MjcfReduction> ReduceMjcf(const XmlFile& file);
+enum class MjcfShapes { kKept, kLeftOut };
+
+// The rigid bodies, joints and sites of an MJCF file, and with `kKept` its shapes, meshes and
+// couplings of joints, for a model whose meshes are missing or that is written for a newer MuJoCo:
+// actuators, sensors, contacts, tendons, constraints and materials are left out, since no term of a
+// joint's equation of motion needs them. Included files are read. Limits are `autolimits`, unless
+// the file says not. FAILED_PRECONDITION, with file, line and remedy, where the rest would be
+// another machine: without shapes a body that moves has some and no <inertial>; a <frame>, or what
+// makes bodies by itself.
+absl::StatusOr<MjcfReduction> ReduceMjcf(const XmlFile& file, MjcfShapes shapes);
 
 }  // namespace robostress::calibration

@@ -34,29 +34,6 @@ absl::StatusOr<LoadedModel> LoadUrdf(const Rig& rig, const XmlFile& file) {
   return loaded;
 }
 
-// As MuJoCo reads it; where it cannot, without what no joint's equation needs.
-absl::StatusOr<LoadedModel> LoadMjcf(const XmlFile& file) {
-  LoadedModel loaded;
-  char error[1000] = "";
-  loaded.model.reset(mj_loadXML(file.name().c_str(), nullptr, error, sizeof error));
-  std::vector<ModelFact> left_out;
-  if (loaded.model == nullptr) {
-    const auto reduced = ReduceMjcf(file);
-    if (!reduced.ok())
-      return absl::InvalidArgumentError(
-          absl::StrCat(file.name(), ": does not load: ", error,
-                       "\nand not without its shapes and actuators: ", reduced.status().message()));
-    RS_ASSIGN_OR_RETURN(loaded.model, CompileModel(file.name(), reduced->xml));
-    left_out = reduced->facts;
-  }
-  loaded.facts.push_back(
-      {"model", "format",
-       absl::StrCat("MJCF, ", loaded.model->nbody - 1, " bodies, ", loaded.model->njnt, " joints"),
-       FactSource::kRead, ""});
-  loaded.facts.insert(loaded.facts.end(), left_out.begin(), left_out.end());
-  return loaded;
-}
-
 void DescribeGravity(const Rig& rig, bool urdf, LoadedModel& loaded) {
   double* const gravity = loaded.model->opt.gravity;
   if (rig.gravity) std::copy(rig.gravity->begin(), rig.gravity->end(), gravity);
@@ -152,6 +129,38 @@ absl::StatusOr<CompiledModel> CompileModel(const std::string& file, const std::s
   return model;
 }
 
+absl::StatusOr<MjcfModel> LoadMjcf(const XmlFile& file) {
+  MjcfModel loaded;
+  char error[1000] = "";
+  loaded.model.reset(mj_loadXML(file.name().c_str(), nullptr, error, sizeof error));
+  std::vector<ModelFact> left_out;
+  if (loaded.model == nullptr) {
+    loaded.refusal = error;
+    absl::StatusOr<CompiledModel> compiled = absl::UnknownError("");
+    absl::Status refusal;
+    for (const MjcfShapes shapes : {MjcfShapes::kKept, MjcfShapes::kLeftOut}) {
+      auto reduced = ReduceMjcf(file, shapes);
+      refusal = reduced.status();
+      if (!reduced.ok()) continue;
+      compiled = CompileModel(file.name(), reduced->xml);
+      left_out = std::move(reduced->facts);
+      if (compiled.ok()) break;
+      refusal = compiled.status();
+    }
+    if (!compiled.ok())
+      return absl::InvalidArgumentError(
+          absl::StrCat(file.name(), ": does not load: ", error,
+                       "\nand not without its shapes and actuators: ", refusal.message()));
+    loaded.model = *std::move(compiled);
+  }
+  loaded.facts.push_back(
+      {"model", "format",
+       absl::StrCat("MJCF, ", loaded.model->nbody - 1, " bodies, ", loaded.model->njnt, " joints"),
+       FactSource::kRead, ""});
+  loaded.facts.insert(loaded.facts.end(), left_out.begin(), left_out.end());
+  return loaded;
+}
+
 absl::StatusOr<std::string> MjcfOf(const std::string& file, const std::string& xml) {
   RS_ASSIGN_OR_RETURN(const CompiledModel model, CompileModel(file, xml));
   std::error_code error;
@@ -182,7 +191,14 @@ absl::StatusOr<LoadedModel> LoadModel(const Rig& rig) {
   if (!urdf && root != "mujoco")
     return file.Error(file.root(), absl::StrCat("does not load: its root is <", root,
                                                 ">, must be <mujoco> (MJCF) or <robot> (URDF)"));
-  RS_ASSIGN_OR_RETURN(LoadedModel loaded, urdf ? LoadUrdf(rig, file) : LoadMjcf(file));
+  LoadedModel loaded;
+  if (urdf) {
+    RS_ASSIGN_OR_RETURN(loaded, LoadUrdf(rig, file));
+  } else {
+    RS_ASSIGN_OR_RETURN(MjcfModel mjcf, LoadMjcf(file));
+    loaded.model = std::move(mjcf.model);
+    loaded.facts = std::move(mjcf.facts);
+  }
   DescribeGravity(rig, urdf, loaded);
   DescribeHeld(rig, loaded);
   for (const RigJoint& joint : rig.joints) DescribeJoint(joint, urdf, loaded);

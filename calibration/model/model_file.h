@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "calibration/data/rig.h"
 #include "common/models/model_table.h"
+#include "common/models/xml_file.h"
 
 namespace robostress::calibration {
 
@@ -22,6 +23,15 @@ using CompiledModel = std::unique_ptr<mjModel, ModelDeleter>;
 absl::StatusOr<CompiledModel> CompileModel(const std::string& file, const std::string& xml);
 // The same model as MJCF, numbers to six digits.
 absl::StatusOr<std::string> MjcfOf(const std::string& file, const std::string& xml);
+
+struct MjcfModel {
+  CompiledModel model;
+  std::vector<ModelFact> facts;
+  std::string refusal;  // of MuJoCo, where it did not take the file as it is
+};
+// As MuJoCo reads it; where it cannot, what ReduceMjcf leaves, with shapes if their files are
+// there.
+absl::StatusOr<MjcfModel> LoadMjcf(const XmlFile& file);
 
 // Sites that are a payload's place, the first that there is.
 inline constexpr const char* kPayloadSites[] = {

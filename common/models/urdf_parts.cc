@@ -30,6 +30,17 @@ class Printer {
   tinyxml2::XMLPrinter printer_{nullptr, true};
 };
 
+void PrintShape(const Shape& shape, Printer& out) {
+  out.Open(shape.touched ? "collision" : "visual");
+  out.Origin(shape.origin);
+  out.Open("geometry");
+  out.Open(shape.kind.c_str());
+  for (const auto& [name, value] : shape.attributes) out.Text(name.c_str(), value);
+  out.Close();
+  out.Close();
+  out.Close();
+}
+
 void PrintLink(const Link& link, Printer& out) {
   out.Open("link");
   out.Text("name", link.name);
@@ -48,6 +59,7 @@ void PrintLink(const Link& link, Printer& out) {
     out.Close();
     out.Close();
   }
+  for (const Shape& shape : link.shapes) PrintShape(shape, out);
   out.Close();
 }
 
@@ -74,6 +86,15 @@ void PrintJoint(const Joint& joint, const std::string& parent, const std::string
       out.Open("limit");
       out.Number("lower", joint.lower);
       out.Number("upper", joint.upper);
+      out.Number("effort", joint.effort);
+      out.Number("velocity", 0);
+      out.Close();
+    }
+    if (!joint.mimic.empty()) {
+      out.Open("mimic");
+      out.Text("joint", joint.mimic);
+      out.Number("multiplier", joint.multiplier);
+      out.Number("offset", joint.offset);
       out.Close();
     }
   }

@@ -4,6 +4,7 @@
 
 #include <Eigen/Dense>
 #include <string>
+#include <utility>
 #include <vector>
 
 // A robot description in parts, read and checked by urdf_model.cc. Its elements' lines serve
@@ -15,6 +16,14 @@ struct Pose {
   std::vector<double> rpy = {0, 0, 0};  // [rad] about fixed x, y, z
 };
 
+struct Shape {
+  std::string kind;  // box, sphere, cylinder, capsule, mesh: its element
+  // Attributes by name: size, radius, length [m], filename.
+  std::vector<std::pair<std::string, std::string>> attributes;
+  Pose origin;
+  bool touched = true;  // <collision>; else <visual>
+};
+
 // A body.
 struct Link {
   std::string name;
@@ -24,6 +33,7 @@ struct Link {
   Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();  // [kg m^2] in the inertial's frame
   int parent = -1;                                    // index of a joint
   std::vector<int> children;                          // indices of joints
+  std::vector<Shape> shapes;                          // to be printed
 };
 
 struct Joint {
@@ -36,6 +46,7 @@ struct Joint {
   double damping = 0, friction = 0;  // [Nm s/rad, Nm] or [N s/m, N]
   double effort = 0;                 // [Nm] or [N]; 0: not said
   bool moves = false, limited = false;
+  double multiplier = 1, offset = 0;  // of mimic, to be printed
 };
 
 // URDF of the parts, with numbers that read back equal; joints that do not move are fixed. MuJoCo's

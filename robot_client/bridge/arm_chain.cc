@@ -250,6 +250,10 @@ absl::StatusOr<ArmChain> ReadArmChain(const std::string& file, const std::string
                                       const std::vector<std::string>& joints,
                                       const ArmLimits& limits, const ModelOptions& options) {
   RS_ASSIGN_OR_RETURN(const XmlFile xml, XmlFile::Parse(file, text));
+  if (absl::string_view(xml.root().Name()) == "mujoco")
+    return xml.Error(xml.root(),
+                     absl::StrCat("is MJCF, and the client reads URDF; `robostress urdf ", file,
+                                  " --out arm.urdf` writes one"));
   if (absl::string_view(xml.root().Name()) != "robot")
     return xml.Error(xml.root(), absl::StrCat("the root is <", xml.root().Name(),
                                               ">, must be <robot>: of the formats a model is "

@@ -13,11 +13,13 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     CheckRefusal(file.status(), name);
     return 0;
   }
-  if (const auto reduced = ReduceMjcf(*file); reduced.ok()) {
-    FuzzCheck(XmlFile::Parse(name, reduced->xml).ok(),
-              "what was reduced is no XML: " + reduced->xml);
-  } else {
-    CheckRefusal(reduced.status(), name);
+  for (const MjcfShapes shapes : {MjcfShapes::kKept, MjcfShapes::kLeftOut}) {
+    if (const auto reduced = ReduceMjcf(*file, shapes); reduced.ok()) {
+      FuzzCheck(XmlFile::Parse(name, reduced->xml).ok(),
+                "what was reduced is no XML: " + reduced->xml);
+    } else {
+      CheckRefusal(reduced.status(), name);
+    }
   }
   const auto urdf = ReadUrdf(*file, {"elbow"});
   if (!urdf.ok()) {

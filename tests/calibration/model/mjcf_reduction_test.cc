@@ -48,7 +48,7 @@ TEST_F(MjcfReductionTest, AModelForANewerMujocoIsReadWithoutItsMeshes) {
   EXPECT_NEAR((*plant)->travel(0), M_PI, 1e-12) << "in degrees";
   const std::string text = ModelTableText((*plant)->facts(), "");
   EXPECT_THAT(text, AllOf(HasSubstr("MJCF, 3 bodies, 2 joints"), HasSubstr("gravity 0 0 -9.8"),
-                          HasSubstr("elements actuator, asset, geom, keyframe (left out)"),
+                          HasSubstr("elements actuator, asset, geom (left out)"),
                           HasSubstr("gravcomp of 1 bodies (left out)")));
   const auto loaded = Load(kNewer, {"elbow"});
   ASSERT_TRUE(loaded.ok()) << loaded.status();
@@ -60,6 +60,34 @@ TEST_F(MjcfReductionTest, IsLeftAloneWhereMujocoReadsIt) {
   const auto loaded = Load(generator::MjcfOf(arm, false), {"elbow_joint"});
   ASSERT_TRUE(loaded.ok()) << loaded.status();
   EXPECT_THAT(ModelTableText(loaded->facts, ""), Not(HasSubstr("left out")));
+}
+
+// A newer file in two parts, whose shapes need no file, in millimetres of a mesh that is there.
+TEST_F(MjcfReductionTest, ShapesAreKeptWhereTheirFilesAre) {
+  const std::string mesh = "<mesh file=\"upper.obj\"";
+  ASSERT_TRUE(MakeDirectories(folder + "/assets").ok());
+  ASSERT_TRUE(WriteFileAtomically(folder + "/assets/upper.obj",
+                                  "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 -400\n"
+                                  "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+                  .ok());
+  ASSERT_TRUE(WriteFileAtomically(folder + "/hand.xml",
+                                  "<mujocoinclude><body name=\"hand\" pos=\"0 0 -0.3\">"
+                                  "<joint name=\"wrist\" range=\"-10 10\"/>"
+                                  "<geom type=\"box\" size=\"0.1 0.1 0.1\" mass=\"0.5\"/></body>"
+                                  "</mujocoinclude>")
+                  .ok());
+  const std::string text = With(
+      "<site", "<include file=\"hand.xml\"/><site",
+      With(mesh, mesh + " scale=\"0.001 0.001 0.001\"", With(" autolimits=\"true\"", "", kNewer)));
+  const auto loaded = Load(With("qpos=\"0 0\"", "name=\"home\" qpos=\"0 0 0.1\"", text), {"wrist"});
+  ASSERT_TRUE(loaded.ok()) << loaded.status();
+  const mjModel& model = *loaded->model;
+  EXPECT_EQ(model.ngeom, 4) << "plane, two of the mesh, the box of the hand";
+  EXPECT_EQ(model.body_mass[mj_name2id(&model, mjOBJ_BODY, "hand")], 0.5);
+  EXPECT_TRUE(model.jnt_limited[mj_name2id(&model, mjOBJ_JOINT, "wrist")])
+      << "newer files mean their ranges";
+  EXPECT_NEAR(model.geom_rbound[1], 0.3, 0.15) << "the mesh, in metres";
+  EXPECT_EQ(model.nkey, 1);
 }
 
 TEST_F(MjcfReductionTest, MassesThatComeFromShapesAreRefused) {

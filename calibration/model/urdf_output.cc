@@ -1,0 +1,380 @@
+#include "calibration/model/urdf_output.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <cstdint>
+#include <set>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "common/models/urdf_parts.h"
+
+namespace robostress::calibration {
+namespace {
+
+using Eigen::Isometry3d;
+using Eigen::Vector3d;
+using urdf::Joint;
+using urdf::Link;
+using urdf::Pose;
+using urdf::Shape;
+
+Vector3d VectorAt(const mjtNum* numbers, int index) {
+  return Eigen::Map<const Vector3d>(numbers + 3 * index);
+}
+Isometry3d PoseAt(const mjtNum* positions, const mjtNum* quaternions, int index) {
+  const mjtNum* q = quaternions + 4 * index;
+  Isometry3d T = Isometry3d::Identity();
+  T.translation() = VectorAt(positions, index);
+  T.linear() = Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized().toRotationMatrix();
+  return T;
+}
+
+// R = Rz(yaw) Ry(pitch) Rx(roll). Yaw follows from the roll that was chosen, so that nothing is
+// lost where pitch is near 90 degrees.
+Pose PoseOf(const Isometry3d& T) {
+  const Eigen::Matrix3d R = T.linear();
+  const double roll = std::atan2(R(2, 1), R(2, 2)), s = std::sin(roll), c = std::cos(roll);
+  const double pitch = std::atan2(-R(2, 0), std::hypot(R(2, 1), R(2, 2)));
+  const double yaw = std::atan2(s * R(0, 2) - c * R(0, 1), c * R(1, 1) - s * R(1, 2));
+  const Vector3d p = T.translation();
+  return {{p.x(), p.y(), p.z()}, {roll, pitch, yaw}};
+}
+
+std::string Number(double value) { return absl::StrFormat("%.17g", value); }
+
+class UrdfWriter {
+ public:
+  UrdfWriter(const mjModel& model, std::string meshes)
+      : model_(model), meshes_(std::move(meshes)), place_(static_cast<size_t>(model.nbody)) {}
+
+  absl::StatusOr<UrdfOutput> Write() {
+    links_.emplace_back().name = Named(mjOBJ_BODY, 0);
+    names_.insert(links_[0].name);
+    for (int body = 1; body < model_.nbody; ++body) names_.insert(Named(mjOBJ_BODY, body));
+    for (int body = 0; body < model_.nbody; ++body) AddBody(body);
+    if (out_.joints.empty())
+      return absl::InvalidArgumentError(
+          loose_.empty()
+              ? "no joint turns or slides"
+              : absl::StrCat("no joint turns or slides but on bodies with a free joint (",
+                             absl::StrJoin(loose_, ", "), "); take the free joint of the arm out"));
+    for (int geom = 0; geom < model_.ngeom; ++geom) AddGeom(geom);
+    AddSites();
+    AddCouplings();
+    AddEfforts();
+    Describe();
+    tinyxml2::XMLDocument document;
+    document.Parse(urdf::Print(links_, joints_).c_str());
+    tinyxml2::XMLPrinter lines;  // an element a line
+    document.Print(&lines);
+    out_.xml = lines.CStr();
+    return std::move(out_);
+  }
+
+ private:
+  // Where a body is: on which link, and where there. Loose: on none.
+  struct Place {
+    int link = 0;
+    Isometry3d T_link_body = Isometry3d::Identity();
+    bool loose = false;
+  };
+
+  std::string Named(mjtObj kind, int id) const {
+    const char* name = mj_id2name(&model_, kind, id);
+    if (name != nullptr && *name != '\0') return name;
+    const char* const word = kind == mjOBJ_BODY    ? "body_"
+                             : kind == mjOBJ_JOINT ? "joint_"
+                             : kind == mjOBJ_SITE  ? "site_"
+                                                   : "mesh_";
+    return absl::StrCat(word, id);
+  }
+  std::string NewLinkName(std::string name) {
+    while (!names_.insert(name).second) name += "_link";
+    return name;
+  }
+  // Of a joint that does not move.
+  std::string FixedName(const std::string& link) {
+    std::string name = absl::StrCat(link, "_fixed");
+    while (mj_name2id(&model_, mjOBJ_JOINT, name.c_str()) >= 0) name += "_";
+    return name;
+  }
+
+  // A link on another, and the joint between them.
+  int AddLink(const std::string& name, const std::string& joint, int parent,
+              const Isometry3d& T_parent_link) {
+    const int link = static_cast<int>(links_.size());
+    links_.emplace_back().name = name;
+    Joint& between = joints_.emplace_back();
+    between.name = joint;
+    between.type = "fixed";
+    between.parent = parent;
+    between.child = link;
+    between.origin = PoseOf(T_parent_link);
+    return link;
+  }
+
+  void AddBody(int body) {
+    Place& place = place_[static_cast<size_t>(body)];
+    if (body == 0) return;
+    const Place& parent = place_[static_cast<size_t>(model_.body_parentid[body])];
+    const std::string name = Named(mjOBJ_BODY, body);
+    const int first = model_.body_jntadr[body], count = model_.body_jntnum[body];
+    const bool is_free = count == 1 && model_.jnt_type[first] == mjJNT_FREE;
+    place.loose = parent.loose || is_free || model_.body_mocapid[body] >= 0;
+    if (place.loose) {
+      if (!parent.loose) loose_.push_back(name);
+      return;
+    }
+    place.link = parent.link;
+    place.T_link_body = parent.T_link_body * PoseAt(model_.body_pos, model_.body_quat, body);
+    std::vector<int> moving;
+    for (int id = first; id < first + count; ++id) {
+      if (model_.jnt_type[id] == mjJNT_BALL)
+        held_.push_back(Named(mjOBJ_JOINT, id));
+      else
+        moving.push_back(id);
+    }
+    if (moving.empty()) {
+      place = {AddLink(name, FixedName(name), place.link, place.T_link_body),
+               Isometry3d::Identity(), false};
+    }
+    for (const int id : moving)
+      AddJoint(
+          id,
+          id == moving.back() ? name : NewLinkName(absl::StrCat(name, "_", Named(mjOBJ_JOINT, id))),
+          place);
+    AddInertia(body, place);
+    out_.bodies.push_back(name);
+  }
+
+  void AddJoint(int id, const std::string& link, Place& place) {
+    const bool slide = model_.jnt_type[id] == mjJNT_SLIDE;
+    const Vector3d axis = VectorAt(model_.jnt_axis, id), anchor = VectorAt(model_.jnt_pos, id);
+    const double ref = model_.qpos0[model_.jnt_qposadr[id]];
+    Isometry3d origin = place.T_link_body * Eigen::Translation3d(anchor);
+    if (slide)
+      origin.translate(-ref * axis);
+    else
+      origin.rotate(Eigen::AngleAxisd(-ref, axis));
+    place.link = AddLink(link, Named(mjOBJ_JOINT, id), place.link, origin);
+    place.T_link_body = Isometry3d(Eigen::Translation3d(-anchor));
+    Joint& joint = joints_.back();
+    joint.type = slide ? "prismatic" : model_.jnt_limited[id] ? "revolute" : "continuous";
+    joint.axis = {axis.x(), axis.y(), axis.z()};
+    joint.moves = true;
+    joint.limited = slide || model_.jnt_limited[id] != 0;
+    joint.lower = model_.jnt_limited[id] ? model_.jnt_range[2 * id] : -kEndlessSlide;
+    joint.upper = model_.jnt_limited[id] ? model_.jnt_range[2 * id + 1] : kEndlessSlide;
+    joint.damping = model_.dof_damping[model_.jnt_dofadr[id]];
+    joint.friction = model_.dof_frictionloss[model_.jnt_dofadr[id]];
+    joint_of_[id] = joints_.size() - 1;
+    out_.joints.push_back(joint.name);
+    armature_ |= model_.dof_armature[model_.jnt_dofadr[id]] > 0;
+  }
+
+  void AddInertia(int body, const Place& place) {
+    Link& link = links_[static_cast<size_t>(place.link)];
+    link.mass = model_.body_mass[body];
+    link.com = PoseOf(place.T_link_body * PoseAt(model_.body_ipos, model_.body_iquat, body));
+    link.inertia = VectorAt(model_.body_inertia, body).asDiagonal();
+  }
+
+  bool Touches(int geom) const {
+    return model_.geom_contype[geom] != 0 || model_.geom_conaffinity[geom] != 0;
+  }
+
+  void AddGeom(int geom) {
+    const int body = model_.geom_bodyid[geom];
+    const Place& place = place_[static_cast<size_t>(body)];
+    if (place.loose) return;
+    const int type = model_.geom_type[geom];
+    if (type == mjGEOM_PLANE || type == mjGEOM_HFIELD) {
+      ++planes_;
+      return;
+    }
+    const int first = model_.body_geomadr[body], count = model_.body_geomnum[body];
+    bool touched = false;
+    for (int other = first; other < first + count; ++other)
+      touched |= Touches(other) && model_.geom_type[other] != mjGEOM_PLANE;
+    if (touched && !Touches(geom)) {
+      ++seen_;
+      return;
+    }
+    Isometry3d T = place.T_link_body * PoseAt(model_.geom_pos, model_.geom_quat, geom);
+    Shape shape;
+    const mjtNum* size = model_.geom_size + 3 * geom;
+    switch (type) {
+      case mjGEOM_SPHERE:
+        shape = {"sphere", {{"radius", Number(size[0])}}, {}, touched};
+        break;
+      case mjGEOM_CAPSULE:
+      case mjGEOM_CYLINDER:
+        shape = {type == mjGEOM_CAPSULE ? "capsule" : "cylinder",
+                 {{"radius", Number(size[0])}, {"length", Number(2 * size[1])}},
+                 {},
+                 touched};
+        break;
+      case mjGEOM_ELLIPSOID:
+        shape = CapsuleAbout(VectorAt(model_.geom_size, geom), touched, T);
+        break;
+      case mjGEOM_BOX:
+        shape = {"box",
+                 {{"size", absl::StrCat(Number(2 * size[0]), " ", Number(2 * size[1]), " ",
+                                        Number(2 * size[2]))}},
+                 {},
+                 touched};
+        break;
+      case mjGEOM_MESH:
+        shape = {"mesh", {{"filename", MeshFile(model_.geom_dataid[geom])}}, {}, touched};
+        break;
+      default:
+        return;
+    }
+    shape.origin = PoseOf(T);
+    links_[static_cast<size_t>(place.link)].shapes.push_back(std::move(shape));
+  }
+
+  // Of half axes a >= b >= c: radius b, its caps' centres a - b along the longest. At x beyond a -
+  // b the ellipsoid is within b sqrt(1 - x^2 / a^2), the cap within sqrt(b^2 - (x - a + b)^2), and
+  // x - a + b <= b x / a.
+  Shape CapsuleAbout(const Vector3d& axes, bool touched, Isometry3d& T) const {
+    int longest = 0;
+    const double a = axes.maxCoeff(&longest);
+    const double b = std::max(axes[(longest + 1) % 3], axes[(longest + 2) % 3]);
+    if (longest != 2)
+      T.rotate(Eigen::Quaterniond::FromTwoVectors(Vector3d::UnitZ(), Vector3d::Unit(longest)));
+    return {"capsule", {{"radius", Number(b)}, {"length", Number(2 * (a - b))}}, {}, touched};
+  }
+
+  std::string MeshFile(int mesh) {
+    const auto known = mesh_files_.find(mesh);
+    if (known != mesh_files_.end()) return known->second;
+    std::string stem = Named(mjOBJ_MESH, mesh);
+    for (char& c : stem)
+      if (!std::isalnum(static_cast<unsigned char>(c)) && c != '_' && c != '-') c = '_';
+    while (!stems_.insert(stem).second) stem += "_";
+    const std::string path = absl::StrCat(meshes_, "/", stem, ".stl");
+    out_.meshes[path] = Stl(mesh);
+    return mesh_files_[mesh] = path;
+  }
+  std::string Stl(int mesh) const {
+    std::string text(80, ' ');
+    const auto append = [&](const auto& value) {
+      text.append(reinterpret_cast<const char*>(&value), sizeof value);
+    };
+    const int first_face = model_.mesh_faceadr[mesh];
+    const int faces = model_.mesh_facenum[mesh];
+    append(static_cast<uint32_t>(faces));
+    for (int face = first_face; face < first_face + faces; ++face) {
+      text.append(12, '\0');  // readers take the normal from the corners
+      for (int k = 0; k < 3; ++k) {
+        const int vertex = model_.mesh_vertadr[mesh] + model_.mesh_face[3 * face + k];
+        for (int axis = 0; axis < 3; ++axis) append(model_.mesh_vert[3 * vertex + axis]);
+      }
+      text.append(2, '\0');
+    }
+    return text;
+  }
+
+  void AddSites() {
+    for (int site = 0; site < model_.nsite; ++site) {
+      const Place& place = place_[static_cast<size_t>(model_.site_bodyid[site])];
+      if (place.loose) continue;
+      const std::string name = NewLinkName(Named(mjOBJ_SITE, site));
+      AddLink(name, FixedName(name), place.link,
+              place.T_link_body * PoseAt(model_.site_pos, model_.site_quat, site));
+      out_.sites.push_back(name);
+    }
+  }
+
+  void AddCouplings() {
+    for (int k = 0; k < model_.neq; ++k) {
+      if (model_.eq_type[k] != mjEQ_JOINT || !model_.eq_active[k]) continue;
+      const int follower = model_.eq_obj1id[k], leader = model_.eq_obj2id[k];
+      if (joint_of_.count(follower) == 0) continue;
+      const mjtNum* c = model_.eq_data + mjNEQDATA * k;
+      Joint& joint = joints_[joint_of_[follower]];
+      if (leader < 0 || joint_of_.count(leader) == 0 || c[2] != 0 || c[3] != 0 || c[4] != 0) {
+        Add(joint.name, "equality", "of joints, not linear", FactSource::kLeftOut, "");
+        continue;
+      }
+      joint.mimic = joints_[joint_of_[leader]].name;
+      joint.multiplier = c[1];
+      joint.offset = model_.qpos0[model_.jnt_qposadr[follower]] + c[0] -
+                     c[1] * model_.qpos0[model_.jnt_qposadr[leader]];
+    }
+  }
+
+  // The least of the actuators that pull at the joint alone.
+  void AddEfforts() {
+    for (int k = 0; k < model_.nu; ++k) {
+      const auto joint = joint_of_.find(model_.actuator_trnid[2 * k]);
+      if (model_.actuator_trntype[k] != mjTRN_JOINT || !model_.actuator_forcelimited[k] ||
+          joint == joint_of_.end())
+        continue;
+      const double gear = std::abs(model_.actuator_gear[6 * k]);
+      const double most = gear * std::max(std::abs(model_.actuator_forcerange[2 * k]),
+                                          std::abs(model_.actuator_forcerange[2 * k + 1]));
+      double& effort = joints_[joint->second].effort;
+      effort = effort > 0 ? std::min(effort, most) : most;
+    }
+  }
+
+  void Add(const std::string& part, const char* what, std::string value, FactSource source,
+           std::string remedy) {
+    out_.facts.push_back({part, what, std::move(value), source, std::move(remedy)});
+  }
+
+  void Describe() {
+    const mjtNum* gravity = model_.opt.gravity;
+    if (gravity[0] != 0 || gravity[1] != 0 || !(gravity[2] < 0))
+      Add("model", "gravity", absl::StrFormat("%g %g %g m/s^2", gravity[0], gravity[1], gravity[2]),
+          FactSource::kLeftOut, "URDF stands upright, its z up");
+    if (armature_)
+      Add("model", "armature", "of joints", FactSource::kLeftOut,
+          "what rotors ask for is not in the torques of the URDF");
+    if (planes_ > 0)
+      Add("model", "planes and height fields", absl::StrCat(planes_), FactSource::kLeftOut,
+          "workspace.table_z of a robot file is a floor");
+    if (seen_ > 0)
+      Add("model", "shapes that touch nothing", absl::StrCat(seen_), FactSource::kLeftOut,
+          "their bodies have shapes that do");
+    if (!loose_.empty())
+      Add("model", "bodies that stand on nothing", absl::StrJoin(loose_, ", "),
+          FactSource::kLeftOut, "");
+    if (!held_.empty()) out_.facts.push_back(HeldFact(held_));
+    int shapes = 0;
+    for (const Link& link : links_) shapes += static_cast<int>(link.shapes.size());
+    Add("model", "shapes", absl::StrFormat("%d, %d meshes", shapes, out_.meshes.size()),
+        shapes > 0 ? FactSource::kRead : FactSource::kLeftOut,
+        shapes > 0 ? "" : "the file has none that could be read: nothing is watched exactly");
+  }
+
+  static constexpr double kEndlessSlide = 1000;  // [m]: URDF has no prismatic joint without ends
+
+  const mjModel& model_;
+  const std::string meshes_;
+  std::vector<Place> place_;
+  std::vector<Link> links_;
+  std::vector<Joint> joints_;
+  std::map<int, size_t> joint_of_;  // of the model's joints
+  std::map<int, std::string> mesh_files_;
+  std::set<std::string> names_, stems_;
+  std::vector<std::string> loose_, held_;
+  int planes_ = 0, seen_ = 0;
+  bool armature_ = false;
+  UrdfOutput out_;
+};
+
+}  // namespace
+
+absl::StatusOr<UrdfOutput> UrdfOf(const mjModel& model, const std::string& meshes) {
+  return UrdfWriter(model, meshes).Write();
+}
+
+}  // namespace robostress::calibration
