@@ -5,7 +5,6 @@
 #include <functional>
 #include <map>
 #include <set>
-#include <tuple>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -13,6 +12,7 @@
 #include "common/json_text.h"
 #include "common/plain_line.h"
 #include "common/status_macros.h"
+#include "eval/report/result_checks.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -23,8 +23,7 @@ using nlohmann::ordered_json;
 
 constexpr uint64_t kMostBytes = 64 << 20;
 constexpr int kMostEpisodes = 100'000'000;
-constexpr size_t kMostEntries = 200'000, kMostText = 4096, kMostComplaints = 20;
-constexpr double kRounding = 1e-6;  // of numbers that must agree with one another
+constexpr size_t kMostEntries = 200'000, kMostText = 4096;
 
 // --- writing ------------------------------------------------------------------------------------
 
@@ -246,7 +245,7 @@ class Fields {
     return path_.empty() ? "" : absl::StrCat(path_.substr(0, path_.size() - 1), ": ");
   }
   void Say(std::string text) {
-    if (complaints_.size() <= kMostComplaints) complaints_.push_back(std::move(text));
+    if (complaints_.size() <= kMostContradictions) complaints_.push_back(std::move(text));
   }
   void Complain(const std::string& key, const json& value, const std::string& wanted) {
     Say(absl::StrCat("field ", path_, key, " is ", Shown(value), ", must be ", wanted));
@@ -320,9 +319,9 @@ void ReadDifference(Fields& fields, const ResultCell& cell, ResultDifference& d)
                                                          " are more than ", d.pairs, " pairs"));
   const double counted = d.pairs == 0 ? 0 : static_cast<double>(d.plus - d.minus) / d.pairs;
   fields.Check(
-      cell.is_mean() || std::abs(d.difference - counted) < kRounding,
+      cell.is_mean() || std::abs(d.difference - counted) < kResultRounding,
       absl::StrCat("difference is ", d.difference, ", plus, minus and pairs say ", counted));
-  fields.Check(!d.p_corrected || *d.p_corrected >= d.p - kRounding,
+  fields.Check(!d.p_corrected || *d.p_corrected >= d.p - kResultRounding,
                absl::StrCat("p_corrected is ", d.p_corrected.value_or(0), ", below p ", d.p));
 }
 
@@ -356,17 +355,17 @@ void ReadCell(Fields& fields, bool mean, ResultCell& cell) {
     ReadDifference(of_control, cell, cell.versus_control[control]);
   });
   if (mean && cell.interval) {
-    fields.Check(
-        cell.rate >= cell.interval->low - kRounding && cell.rate <= cell.interval->high + kRounding,
-        absl::StrCat("rate is ", cell.rate, ", outside its interval [", cell.interval->low, ", ",
-                     cell.interval->high, "]"));
+    fields.Check(cell.rate >= cell.interval->low - kResultRounding &&
+                     cell.rate <= cell.interval->high + kResultRounding,
+                 absl::StrCat("rate is ", cell.rate, ", outside its interval [", cell.interval->low,
+                              ", ", cell.interval->high, "]"));
   }
   if (mean || counts.n == 0) return;
-  fields.Check(std::abs(cell.rate - counts.rate()) < kRounding,
+  fields.Check(std::abs(cell.rate - counts.rate()) < kResultRounding,
                absl::StrCat("rate is ", cell.rate, ", successes of n say ", counts.rate()));
   const Interval wanted = RateInterval(counts);
-  fields.Check(cell.interval && std::abs(cell.interval->low - wanted.low) < kRounding &&
-                   std::abs(cell.interval->high - wanted.high) < kRounding,
+  fields.Check(cell.interval && std::abs(cell.interval->low - wanted.low) < kResultRounding &&
+                   std::abs(cell.interval->high - wanted.high) < kResultRounding,
                absl::StrCat("interval is not that of n, successes and design_effect, [", wanted.low,
                             ", ", wanted.high, "]"));
 }
@@ -417,87 +416,6 @@ void ReadAll(Fields& fields, ResultFile& file) {
   fields.Texts("notes", file.notes);
   fields.Check(!file.results.empty(), "results is empty");
 }
-
-// A mean whose cells are all in the file is theirs, with equal weights.
-void CheckMeans(const ResultFile& file, std::vector<std::string>& complaints) {
-  using Place = std::tuple<std::string, std::string, std::string, std::string>;
-  std::map<Place, std::map<int, const ResultCell*>> levels;
-  for (const ResultCell& cell : file.results)
-    levels[{cell.policy, cell.suite, cell.method, cell.scenario}][cell.severity] = &cell;
-  for (size_t i = 0; i < file.means.size(); ++i) {
-    const ResultCell& mean = file.means[i];
-    double sum = 0;
-    int64_t n = 0;
-    size_t found = 0;
-    for (const std::string& scenario : mean.scenarios) {
-      const auto& cells = levels[{mean.policy, mean.suite, mean.method, scenario}];
-      auto cell = cells.find(mean.severity);
-      if (cell == cells.end()) cell = cells.find(0);  // equal at every level
-      if (cell == cells.end()) continue;
-      sum += cell->second->rate;
-      n += cell->second->counts.n;
-      ++found;
-    }
-    if (found != mean.scenarios.size() || complaints.size() > kMostComplaints) continue;
-    const double rate = sum / static_cast<double>(found);
-    if (std::abs(mean.rate - rate) < kRounding && mean.counts.n == n) continue;
-    complaints.push_back(absl::StrCat("means[", i, "]: rate is ", mean.rate, " and n ",
-                                      mean.counts.n, ", its scenarios' results say ", rate, " and ",
-                                      n));
-  }
-}
-
-// What is declared once and named once.
-class Declared {
- public:
-  Declared(const ResultFile& file, std::vector<std::string>& complaints) : complaints_(complaints) {
-    for (const ResultPolicy& policy : file.policies) Add("policy", policy.label);
-    for (const ResultMethod& method : file.methods) Add("method", method.name);
-    for (const ResultScenario& s : file.scenarios) Add("scenario", Leveled(s.name, s.severity));
-    for (const ResultProtocol& protocol : file.protocols) Add("protocol", protocol.suite);
-  }
-  void Check(const std::vector<ResultCell>& cells, const char* where) {
-    std::set<std::tuple<std::string, std::string, std::string, int, std::string>> seen;
-    for (size_t i = 0; i < cells.size(); ++i) {
-      const ResultCell& cell = cells[i];
-      const std::string place = absl::StrCat(where, "[", i, "]");
-      Has(place, "policy", cell.policy);
-      Has(place, "method", cell.method);
-      for (const auto& [control, difference] : cell.versus_control) Has(place, "method", control);
-      if (cell.suite != "all") Has(place, "protocol", cell.suite);
-      if (!cell.is_mean()) Has(place, "scenario", Leveled(cell.scenario, cell.severity));
-      std::set<std::string> averaged;
-      for (const std::string& scenario : cell.scenarios) {
-        if (names_.count({"scenario", scenario}) == 0)  // not one that is equal at every level
-          Has(place, "scenario", Leveled(scenario, cell.severity));
-        if (!averaged.insert(scenario).second)
-          Say(absl::StrCat(place, " names scenario ", scenario, " twice"));
-      }
-      if (!seen.insert({cell.policy, cell.suite, cell.scenario, cell.severity, cell.method}).second)
-        Say(absl::StrCat(place, " stands twice: ", cell.policy, ", ", cell.suite, ", ",
-                         cell.is_mean() ? "mean" : cell.scenario, ", ", cell.method));
-    }
-  }
-
- private:
-  static std::string Leveled(const std::string& name, int severity) {
-    return severity == 0 ? name : absl::StrCat(name, " at severity ", severity);
-  }
-  void Add(const std::string& kind, const std::string& name) {
-    if (!names_.insert({kind, name}).second)
-      Say(absl::StrCat(kind, " ", name, " is declared twice"));
-  }
-  void Has(const std::string& place, const std::string& kind, const std::string& name) {
-    if (names_.count({kind, name}) == 0)
-      Say(absl::StrCat(place, " names ", kind, " ", name, ", which the file does not declare"));
-  }
-  void Say(std::string text) {
-    if (complaints_.size() <= kMostComplaints) complaints_.push_back(std::move(text));
-  }
-
-  std::set<std::pair<std::string, std::string>> names_;
-  std::vector<std::string>& complaints_;
-};
 
 }  // namespace
 
@@ -556,14 +474,11 @@ absl::StatusOr<ResultFile> ParseResultFile(const std::string& source, const std:
     fields.Finish();
   }
   if (complaints.empty()) {
-    Declared declared(file, complaints);
-    declared.Check(file.results, "results");
-    declared.Check(file.means, "means");
-    CheckMeans(file, complaints);
+    complaints = ContradictionsOf(file);
   }
   if (complaints.empty()) return file;
-  const bool more = complaints.size() > kMostComplaints;
-  if (more) complaints.resize(kMostComplaints);
+  const bool more = complaints.size() > kMostContradictions;
+  if (more) complaints.resize(kMostContradictions);
   return absl::InvalidArgumentError(
       absl::StrCat(source, ":\n  ", absl::StrJoin(complaints, "\n  "), more ? "\n  and more" : ""));
 }
