@@ -188,6 +188,10 @@ absl::StatusOr<PlayedRun> Excite(const std::string& flags, const std::string& fo
   return run;
 }
 
+std::string FolderOf(const Case& c, int round) {
+  return round == 0 ? c.folder : absl::StrCat(c.folder, "/round_", round + 1);
+}
+
 // The verdict on one designed motion, and on more of them as long as something is open.
 absl::Status RunRounds(RigOptions options, const Case& c, const CommandLine& line) {
   const std::string drawn_folder = c.folder + "/drawn";
@@ -198,7 +202,7 @@ absl::Status RunRounds(RigOptions options, const Case& c, const CommandLine& lin
   const std::string limits = LimitsOf(*drawn);
   std::string rig = drawn_folder, after;
   for (int round = 0; round < line.rounds; ++round) {
-    const std::string folder = round == 0 ? c.folder : absl::StrCat(c.folder, "/round_", round + 1);
+    const std::string folder = FolderOf(c, round);
     if (absl::Status made = MakeDirectories(folder); !made.ok()) return made;
     auto run = Excite(absl::StrCat(" --rig '", rig, "/rig.yaml'", limits,
                                    line.motion == "sweep" ? " --sweep" : "", after),
@@ -246,6 +250,17 @@ absl::Status RunCase(const Case& c, const CommandLine& line) {
   return options->proposed ? RunRig(*options, c.folder + "/followed", line) : absl::OkStatus();
 }
 
+// The newest report of `rounds` motions at most.
+absl::StatusOr<Json> ReportOf(const Case& c, int rounds) {
+  absl::StatusOr<Json> report = ReadJson(FolderOf(c, 0) + "/report/report.json");
+  for (int round = 1; round < rounds && report.ok(); ++round) {
+    auto next = ReadJson(FolderOf(c, round) + "/report/report.json");
+    if (!next.ok()) break;
+    report = std::move(next);
+  }
+  return report;
+}
+
 // What became of ambiguous verdicts after the run that they asked for.
 struct Followed {
   int runs = 0, named = 0, smaller = 0, wrong = 0;
@@ -279,7 +294,7 @@ std::string Share(int count, int n) {
 }
 
 // Markdown.
-std::string Table(const std::vector<Case>& cases) {
+std::string Table(const std::vector<Case>& cases, int rounds) {
   constexpr Outcome kColumns[] = {Outcome::kNamed,      Outcome::kGrouped,  Outcome::kListed,
                                   Outcome::kHedged,     Outcome::kOneOfTwo, Outcome::kMissed,
                                   Outcome::kWrongGroup, Outcome::kWrong,    Outcome::kNothing,
@@ -290,11 +305,19 @@ std::string Table(const std::vector<Case>& cases) {
   std::vector<double> seconds;
   int none = 0, alarms = 0, seen = 0, right = 0, all_hidden = 0;
   Followed followed;
+  std::vector<int> named_after(rounds), told_wrongly_after(rounds);
   for (const Case& c : cases) {
     const auto truth = ReadJson(c.folder + "/rig/truth.json");
     if (!truth.ok() || !std::filesystem::exists(c.folder + "/said.txt")) continue;
-    const auto report = ReadJson(c.folder + "/report/report.json");
+    const auto report = ReportOf(c, rounds);
     const Judged judged = report.ok() ? Judge(*report, *truth) : Judged{};
+    for (int round = 1; round <= rounds; ++round) {
+      const auto until = ReportOf(c, round);
+      const Outcome outcome = until.ok() ? Judge(*until, *truth).outcome : Outcome::kRefused;
+      named_after[round - 1] += outcome == Outcome::kNamed;
+      told_wrongly_after[round - 1] +=
+          outcome == Outcome::kWrong || outcome == Outcome::kWrongGroup;
+    }
     seconds.push_back(SecondsOf(c));
     if (report.ok()) followed.Add(c, *report, *truth);
     ++rows[c.kind][judged.outcome];
@@ -349,6 +372,9 @@ std::string Table(const std::vector<Case>& cases) {
         "Ambiguous, and then the run that the verdict asked for: %d; named after it "
         "%d, in a smaller group %d, told wrongly %d\n",
         followed.runs, followed.named, followed.smaller, followed.wrong);
+  for (int round = 1; round <= rounds && rounds > 1; ++round)
+    absl::StrAppendFormat(&text, "After %d motions at most: named %d, told wrongly %d, of %d\n",
+                          round, named_after[round - 1], told_wrongly_after[round - 1], all_hidden);
   if (!seconds.empty()) {
     std::sort(seconds.begin(), seconds.end());
     absl::StrAppendFormat(&text, "Seconds per trace: median %.1f, largest %.1f\n",
@@ -453,7 +479,7 @@ int Main(int argc, char** argv) {
     });
   for (std::thread& worker : workers) worker.join();
   if (failed) return 1;
-  const std::string table = Table(cases);
+  const std::string table = Table(cases, line.rounds);
   std::fputs(table.c_str(), stdout);
   return WriteFileAtomically(line.out + "/table.md", table).ok() ? 0 : 1;
 }
