@@ -85,9 +85,10 @@ class Reducer {
     // As newer files mean it where they do not say.
     if (!autolimits_) compiler->SetAttribute("autolimits", "true");
     if (shapes_) compiler->SetAttribute("meshdir", (folder_ / meshes_).string().c_str());
-    tinyxml2::XMLPrinter printer(nullptr, true);
-    out.Print(&printer);
     MjcfReduction reduction;
+    tinyxml2::XMLPrinter printer(nullptr, true);
+    int line = 1;
+    Print(*root, printer, line);
     reduction.xml = printer.CStr();
     if (!left_out_.empty())
       reduction.facts.push_back({"model", "elements", absl::StrJoin(left_out_, ", "),
@@ -108,9 +109,26 @@ class Reducer {
     return Contains(bare, key, name) || (shapes_ && Contains(shape, key, name));
   }
 
+  // Elements stand on the lines of the main file, which MuJoCo's messages name.
+  void Print(const XMLElement& e, tinyxml2::XMLPrinter& printer, int& line) const {
+    printer.OpenElement(e.Name(), true);
+    for (const auto* a = e.FirstAttribute(); a != nullptr; a = a->Next())
+      printer.PushAttribute(a->Name(), a->Value());
+    for (const XMLElement* child = e.FirstChildElement(); child != nullptr;
+         child = child->NextSiblingElement()) {
+      if (const auto at = lines_.find(child); at != lines_.end() && at->second > line) {
+        printer.PushText(std::string(static_cast<size_t>(at->second - line), '\n').c_str());
+        line = at->second;
+      }
+      Print(*child, printer, line);
+    }
+    printer.CloseElement(true);
+  }
+
   // `moves`: a joint stands between the world and `from`, an element of `file`.
   absl::Status Copy(const XmlFile& file, const XMLElement& from, XMLElement& to, bool moves) {
     const std::string name = from.Name();
+    if (&file == &main_) lines_[&to] = from.GetLineNum();
     for (const auto* a = from.FirstAttribute(); a != nullptr; a = a->Next())
       if (Keeps(kAttributes, kShapeAttributes, name, a->Name()))
         to.SetAttribute(a->Name(), a->Value());
@@ -176,6 +194,7 @@ class Reducer {
   const XmlFile& main_;
   const std::filesystem::path folder_;
   const bool shapes_;
+  std::map<const XMLElement*, int> lines_;
   std::string meshes_;  // meshdir
   bool autolimits_ = false;
   int includes_ = 0;

@@ -12,6 +12,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "common/models/urdf_parts.h"
+#include "common/status_macros.h"
 
 namespace robostress::calibration {
 namespace {
@@ -53,6 +54,7 @@ class UrdfWriter {
       : model_(model), meshes_(std::move(meshes)), place_(static_cast<size_t>(model.nbody)) {}
 
   absl::StatusOr<UrdfOutput> Write() {
+    RS_RETURN_IF_ERROR(CheckNumbers());
     links_.emplace_back().name = Named(mjOBJ_BODY, 0);
     names_.insert(links_[0].name);
     for (int body = 1; body < model_.nbody; ++body) names_.insert(Named(mjOBJ_BODY, body));
@@ -90,8 +92,49 @@ class UrdfWriter {
     const char* const word = kind == mjOBJ_BODY    ? "body_"
                              : kind == mjOBJ_JOINT ? "joint_"
                              : kind == mjOBJ_SITE  ? "site_"
+                             : kind == mjOBJ_GEOM  ? "geom_"
                                                    : "mesh_";
     return absl::StrCat(word, id);
+  }
+  // MuJoCo compiles numbers that are none.
+  absl::Status CheckNumbers() const {
+    const auto check = [&](mjtObj kind, int count, const mjtNum* numbers, int each,
+                           const char* what) {
+      for (int i = 0; i < count * each; ++i)
+        if (!(std::abs(numbers[i]) <= kMostNumber))
+          return absl::InvalidArgumentError(absl::StrFormat(
+              "%s '%s': a number of its %s is %g, must be finite and at most %g in size",
+              mju_type2Str(kind), Named(kind, i / each), what, numbers[i], kMostNumber));
+      return absl::OkStatus();
+    };
+    const mjModel& m = model_;
+    for (const absl::Status& status :
+         {check(mjOBJ_BODY, m.nbody, m.body_pos, 3, "place"),
+          check(mjOBJ_BODY, m.nbody, m.body_quat, 4, "orientation"),
+          check(mjOBJ_BODY, m.nbody, m.body_mass, 1, "mass"),
+          check(mjOBJ_BODY, m.nbody, m.body_ipos, 3, "centre of mass"),
+          check(mjOBJ_BODY, m.nbody, m.body_iquat, 4, "inertia's orientation"),
+          check(mjOBJ_BODY, m.nbody, m.body_inertia, 3, "inertia"),
+          check(mjOBJ_JOINT, m.njnt, m.jnt_axis, 3, "axis"),
+          check(mjOBJ_JOINT, m.njnt, m.jnt_pos, 3, "place"),
+          check(mjOBJ_JOINT, m.njnt, m.jnt_range, 2, "range"),
+          check(mjOBJ_GEOM, m.ngeom, m.geom_pos, 3, "place"),
+          check(mjOBJ_GEOM, m.ngeom, m.geom_quat, 4, "orientation"),
+          check(mjOBJ_GEOM, m.ngeom, m.geom_size, 3, "size"),
+          check(mjOBJ_SITE, m.nsite, m.site_pos, 3, "place"),
+          check(mjOBJ_SITE, m.nsite, m.site_quat, 4, "orientation")})
+      RS_RETURN_IF_ERROR(status);
+    for (int joint = 0; joint < m.njnt; ++joint) {
+      const int dof = m.jnt_dofadr[joint];
+      for (const double number :
+           {m.qpos0[m.jnt_qposadr[joint]], m.dof_damping[dof], m.dof_frictionloss[dof]})
+        if (!(std::abs(number) <= kMostNumber))
+          return absl::InvalidArgumentError(
+              absl::StrFormat("joint '%s': its ref, damping or frictionloss is %g, must be finite "
+                              "and at most %g in size",
+                              Named(mjOBJ_JOINT, joint), number, kMostNumber));
+    }
+    return absl::OkStatus();
   }
   std::string NewLinkName(std::string name) {
     while (!names_.insert(name).second) name += "_link";
@@ -355,6 +398,7 @@ class UrdfWriter {
         shapes > 0 ? "" : "the file has none that could be read: nothing is watched exactly");
   }
 
+  static constexpr double kMostNumber = 1e6;     // as readers of URDF take
   static constexpr double kEndlessSlide = 1000;  // [m]: URDF has no prismatic joint without ends
 
   const mjModel& model_;

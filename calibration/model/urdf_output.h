@@ -26,7 +26,7 @@ struct UrdfOutput {
 // an ellipsoid is the capsule about it, planes and height fields are left out. What stands on a
 // free joint or is moved by hand (mocap) is left out, a ball joint is held. Linear couplings of two
 // joints become <mimic>. Meshes are named MESHES/NAME.stl.
-// INVALID_ARGUMENT: no joint turns or slides.
+// INVALID_ARGUMENT: no joint turns or slides; numbers that are none or above 1e6.
 absl::StatusOr<UrdfOutput> UrdfOf(const mjModel& model, const std::string& meshes);
 
 }  // namespace robostress::calibration

@@ -102,6 +102,9 @@ TEST_F(MjcfReductionTest, MassesThatComeFromShapesAreRefused) {
   EXPECT_THAT(
       Refusal(With("<worldbody>", "<worldbody><include file=\"table.xml\"/>", kNewer), {"elbow"}),
       HasSubstr("table.xml"));
+  EXPECT_THAT(Refusal(With("0.01 0.01 0.001", "0.01 much", kNewer), {"elbow"}),
+              HasSubstr("Element 'inertial', line 16"))
+      << "what MuJoCo names is the file's";
   EXPECT_THAT(Refusal(With("<worldbody>", "<worldbody><frame/>", kNewer), {"elbow"}),
               HasSubstr("<frame> places bodies"));
 }

@@ -279,6 +279,11 @@ TEST_F(UrdfOutputTest, RefusesWhatNoJointMoves) {
   EXPECT_THAT(refusal("<mujoco><worldbody><body name=\"cart\"><freejoint/><geom size=\"1\"/>"
                       "<body><joint/><geom size=\"1\"/></body></body></worldbody></mujoco>"),
               HasSubstr("bodies with a free joint (cart); take the free joint of the arm out"));
+  for (const char* number : {"nan", "1e7"})
+    EXPECT_THAT(
+        refusal(absl::StrCat("<mujoco><worldbody><body name=\"arm\" pos=\"0 ", number,
+                             " 0\"><joint/><geom size=\"1\"/></body></worldbody></mujoco>")),
+        HasSubstr("body 'arm': a number of its place is"));
 }
 
 }  // namespace
