@@ -40,7 +40,7 @@ absl::Status Run(const CommandLine& line) {
   if (std::string(file.root().Name()) != "mujoco")
     return file.Error(file.root(), absl::StrCat("the root is <", file.root().Name(),
                                                 ">, must be <mujoco>: MJCF"));
-  RS_ASSIGN_OR_RETURN(const MjcfModel loaded, LoadMjcf(file));
+  RS_ASSIGN_OR_RETURN(const LoadedModel loaded, LoadMjcf(file));
   const fs::path out = line.out, folder = out.parent_path();
   std::error_code error;
   if (fs::equivalent(line.model, out, error))

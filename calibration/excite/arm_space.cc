@@ -7,7 +7,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/strings/str_replace.h"
 #include "calibration/excite/urdf_shapes_model.h"
 #include "calibration/model/model_file.h"
 #include "common/atomic_file.h"
@@ -23,17 +22,14 @@ constexpr double kG = 9.81, kLightest = 0.005;  // [m/s^2], [kg]
 constexpr int kWidth = 480, kHeight = 360;
 constexpr float kQuality = 60, kLight = 0.6F;
 
-// With its shapes, where MuJoCo or our reader of URDF finds their files; else without them, and
-// why.
+// With its shapes, where their files are found; else without them, and why.
 absl::StatusOr<std::shared_ptr<mjModel>> LoadWithShapes(const Rig& rig, std::string* why_without,
                                                         std::vector<std::string>* notes) {
-  char error[1000] = "";
-  std::shared_ptr<mjModel> model(mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error),
-                                 mj_deleteModel);
-  if (model == nullptr) {
-    RS_ASSIGN_OR_RETURN(LoadedModel loaded, LoadModel(rig));
-    *why_without = absl::StrReplaceAll(error, {{"\n", ", "}});
-    if (!loaded.urdf) return std::shared_ptr<mjModel>(std::move(loaded.model));
+  RS_ASSIGN_OR_RETURN(LoadedModel loaded, LoadModel(rig));
+  std::shared_ptr<mjModel> model = std::move(loaded.model);
+  for (const ModelFact& fact : loaded.facts)
+    if (fact.what == "shapes" && fact.source == FactSource::kLeftOut) *why_without = fact.remedy;
+  if (loaded.urdf) {
     RS_ASSIGN_OR_RETURN(ShapedModel shaped, LoadUrdfWithShapes(rig));
     for (const std::string& mesh : shaped.missing)
       notes->push_back(absl::StrCat("mesh ", mesh, " is not watched"));

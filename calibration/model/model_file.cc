@@ -5,12 +5,15 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <exception>
 #include <filesystem>
 #include <system_error>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
 #include "calibration/model/mjcf_reduction.h"
 #include "common/atomic_file.h"
 #include "common/models/urdf_model.h"
@@ -20,6 +23,26 @@ namespace robostress::calibration {
 namespace {
 
 constexpr uint64_t kMostBytes = 16 << 20;  // of text; meshes are other files
+
+std::string OneLine(std::string text) {
+  absl::StripAsciiWhitespace(&text);
+  return absl::StrReplaceAll(text, {{"\n\n", ", "}, {"\n", ", "}});
+}
+
+// MuJoCo's C function lets exceptions of its parts through: of a mesh file's name without an
+// ending.
+CompiledModel LoadXml(const char* name, const mjVFS* files, std::string* refusal) {
+  char error[1000] = "";
+  CompiledModel model;
+  try {
+    model.reset(mj_loadXML(name, files, error, sizeof error));
+    *refusal = error;
+  } catch (const std::exception& thrown) {
+    *refusal = absl::StrCat("MuJoCo ends with \"", thrown.what(),
+                            "\"; has every mesh file's name an ending?");
+  }
+  return model;
+}
 
 absl::StatusOr<LoadedModel> LoadUrdf(const Rig& rig, const XmlFile& file) {
   std::vector<std::string> moving;
@@ -121,36 +144,35 @@ absl::StatusOr<CompiledModel> CompileModel(const std::string& file, const std::s
     return absl::ResourceExhaustedError(absl::StrCat(file, ": no memory for the model"));
   std::copy(xml.begin(), xml.end(),
             static_cast<char*>(files->filedata[mj_findFileVFS(files.get(), kName)]));
-  char error[1000] = "";
-  CompiledModel model(mj_loadXML(kName, files.get(), error, sizeof error));
+  std::string refusal;
+  CompiledModel model = LoadXml(kName, files.get(), &refusal);
   mj_deleteVFS(files.get());
   if (model == nullptr)
-    return absl::InvalidArgumentError(absl::StrCat(file, ": does not load: ", error));
+    return absl::InvalidArgumentError(absl::StrCat(file, ": does not load: ", refusal));
   return model;
 }
 
-absl::StatusOr<MjcfModel> LoadMjcf(const XmlFile& file) {
-  MjcfModel loaded;
-  char error[1000] = "";
-  loaded.model.reset(mj_loadXML(file.name().c_str(), nullptr, error, sizeof error));
+absl::StatusOr<LoadedModel> LoadMjcf(const XmlFile& file) {
+  LoadedModel loaded;
+  std::string refusal;
+  loaded.model = LoadXml(file.name().c_str(), nullptr, &refusal);
   std::vector<ModelFact> left_out;
   if (loaded.model == nullptr) {
-    loaded.refusal = error;
+    std::string without_shapes;  // why
     absl::StatusOr<CompiledModel> compiled = absl::UnknownError("");
-    absl::Status refusal;
     for (const MjcfShapes shapes : {MjcfShapes::kKept, MjcfShapes::kLeftOut}) {
       auto reduced = ReduceMjcf(file, shapes);
-      refusal = reduced.status();
-      if (!reduced.ok()) continue;
-      compiled = CompileModel(file.name(), reduced->xml);
-      left_out = std::move(reduced->facts);
+      compiled = reduced.ok() ? CompileModel(file.name(), reduced->xml) : reduced.status();
+      if (reduced.ok()) left_out = std::move(reduced->facts);
       if (compiled.ok()) break;
-      refusal = compiled.status();
+      without_shapes = OneLine(std::string(compiled.status().message()));
     }
     if (!compiled.ok())
-      return absl::InvalidArgumentError(
-          absl::StrCat(file.name(), ": does not load: ", error,
-                       "\nand not without its shapes and actuators: ", refusal.message()));
+      return absl::InvalidArgumentError(absl::StrCat(
+          file.name(), ": does not load: ", refusal,
+          "\nand not without its shapes and actuators: ", compiled.status().message()));
+    if (!without_shapes.empty())
+      left_out.push_back({"model", "shapes", "all", FactSource::kLeftOut, without_shapes});
     loaded.model = *std::move(compiled);
   }
   loaded.facts.push_back(
@@ -191,14 +213,7 @@ absl::StatusOr<LoadedModel> LoadModel(const Rig& rig) {
   if (!urdf && root != "mujoco")
     return file.Error(file.root(), absl::StrCat("does not load: its root is <", root,
                                                 ">, must be <mujoco> (MJCF) or <robot> (URDF)"));
-  LoadedModel loaded;
-  if (urdf) {
-    RS_ASSIGN_OR_RETURN(loaded, LoadUrdf(rig, file));
-  } else {
-    RS_ASSIGN_OR_RETURN(MjcfModel mjcf, LoadMjcf(file));
-    loaded.model = std::move(mjcf.model);
-    loaded.facts = std::move(mjcf.facts);
-  }
+  RS_ASSIGN_OR_RETURN(LoadedModel loaded, urdf ? LoadUrdf(rig, file) : LoadMjcf(file));
   DescribeGravity(rig, urdf, loaded);
   DescribeHeld(rig, loaded);
   for (const RigJoint& joint : rig.joints) DescribeJoint(joint, urdf, loaded);

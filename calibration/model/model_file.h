@@ -24,15 +24,6 @@ absl::StatusOr<CompiledModel> CompileModel(const std::string& file, const std::s
 // The same model as MJCF, numbers to six digits.
 absl::StatusOr<std::string> MjcfOf(const std::string& file, const std::string& xml);
 
-struct MjcfModel {
-  CompiledModel model;
-  std::vector<ModelFact> facts;
-  std::string refusal;  // of MuJoCo, where it did not take the file as it is
-};
-// As MuJoCo reads it; where it cannot, what ReduceMjcf leaves, with shapes if their files are
-// there.
-absl::StatusOr<MjcfModel> LoadMjcf(const XmlFile& file);
-
 // Sites that are a payload's place, the first that there is.
 inline constexpr const char* kPayloadSites[] = {
     "payload", "tip", "tool", "end_effector", "gripper0_grip_site", "attachment_site"};
@@ -44,6 +35,10 @@ struct LoadedModel {
   std::string payload_link;  // of a URDF; empty: none is named so
   std::vector<ModelFact> facts;
 };
+
+// As MuJoCo reads it; where it cannot, what ReduceMjcf leaves, with shapes if their files are
+// there.
+absl::StatusOr<LoadedModel> LoadMjcf(const XmlFile& file);
 
 // The model of a rig: MJCF (root <mujoco>) or URDF (root <robot>), whatever the file is called.
 // Of a URDF the joints that the rig does not list are held at 0. Errors name the file, and line,

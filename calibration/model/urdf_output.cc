@@ -395,7 +395,7 @@ class UrdfWriter {
     for (const Link& link : links_) shapes += static_cast<int>(link.shapes.size());
     Add("model", "shapes", absl::StrFormat("%d, %d meshes", shapes, out_.meshes.size()),
         shapes > 0 ? FactSource::kRead : FactSource::kLeftOut,
-        shapes > 0 ? "" : "the file has none that could be read: nothing is watched exactly");
+        shapes > 0 ? "" : "nothing is watched exactly");
   }
 
   static constexpr double kMostNumber = 1e6;     // as readers of URDF take

@@ -49,7 +49,10 @@ TEST_F(MjcfReductionTest, AModelForANewerMujocoIsReadWithoutItsMeshes) {
   const std::string text = ModelTableText((*plant)->facts(), "");
   EXPECT_THAT(text, AllOf(HasSubstr("MJCF, 3 bodies, 2 joints"), HasSubstr("gravity 0 0 -9.8"),
                           HasSubstr("elements actuator, asset, geom (left out)"),
-                          HasSubstr("gravcomp of 1 bodies (left out)")));
+                          HasSubstr("gravcomp of 1 bodies (left out)"),
+                          HasSubstr("shapes all (left out)"), HasSubstr("upper.obj")));
+  EXPECT_TRUE(Load(With("upper.obj\"", "0\" name=\"upper\"", kNewer), {"elbow"}).ok())
+      << "MuJoCo throws where a mesh file's name has no ending";
   const auto loaded = Load(kNewer, {"elbow"});
   ASSERT_TRUE(loaded.ok()) << loaded.status();
   EXPECT_THAT(ModelTableText(loaded->facts, ""), HasSubstr("joints held at 0 shoulder (assumed)"));
