@@ -46,6 +46,8 @@ def mesh_of(shape, urdf, packages):
         mesh = trimesh.creation.box(numbers(shape, "size", None))
     elif shape.tag == "sphere":
         mesh = trimesh.creation.icosphere(subdivisions=4, radius=float(shape.get("radius")))
+    elif shape.tag == "capsule":
+        mesh = trimesh.creation.capsule(radius=float(shape.get("radius")), height=float(shape.get("length")), count=[64, 32])
     else:
         mesh = trimesh.creation.cylinder(radius=float(shape.get("radius")), height=float(shape.get("length")), sections=64)
     return mesh.vertices, mesh.faces
