@@ -96,12 +96,13 @@ class UrdfWriter {
                                                    : "mesh_";
     return absl::StrCat(word, id);
   }
+  static bool IsNumber(double value) { return std::abs(value) <= kMostNumber; }
   // MuJoCo compiles numbers that are none.
   absl::Status CheckNumbers() const {
     const auto check = [&](mjtObj kind, int count, const mjtNum* numbers, int each,
                            const char* what) {
       for (int i = 0; i < count * each; ++i)
-        if (!(std::abs(numbers[i]) <= kMostNumber))
+        if (!IsNumber(numbers[i]))
           return absl::InvalidArgumentError(absl::StrFormat(
               "%s '%s': a number of its %s is %g, must be finite and at most %g in size",
               mju_type2Str(kind), Named(kind, i / each), what, numbers[i], kMostNumber));
@@ -128,7 +129,7 @@ class UrdfWriter {
       const int dof = m.jnt_dofadr[joint];
       for (const double number :
            {m.qpos0[m.jnt_qposadr[joint]], m.dof_damping[dof], m.dof_frictionloss[dof]})
-        if (!(std::abs(number) <= kMostNumber))
+        if (!IsNumber(number))
           return absl::InvalidArgumentError(
               absl::StrFormat("joint '%s': its ref, damping or frictionloss is %g, must be finite "
                               "and at most %g in size",
@@ -342,7 +343,8 @@ class UrdfWriter {
       if (joint_of_.count(follower) == 0) continue;
       const mjtNum* c = model_.eq_data + mjNEQDATA * k;
       Joint& joint = joints_[joint_of_[follower]];
-      if (leader < 0 || joint_of_.count(leader) == 0 || c[2] != 0 || c[3] != 0 || c[4] != 0) {
+      if (leader < 0 || joint_of_.count(leader) == 0 || c[2] != 0 || c[3] != 0 || c[4] != 0 ||
+          !IsNumber(c[0]) || !IsNumber(c[1])) {
         Add(joint.name, "equality", "of joints, not linear", FactSource::kLeftOut, "");
         continue;
       }
@@ -363,6 +365,7 @@ class UrdfWriter {
       const double gear = std::abs(model_.actuator_gear[6 * k]);
       const double most = gear * std::max(std::abs(model_.actuator_forcerange[2 * k]),
                                           std::abs(model_.actuator_forcerange[2 * k + 1]));
+      if (!IsNumber(most)) continue;
       double& effort = joints_[joint->second].effort;
       effort = effort > 0 ? std::min(effort, most) : most;
     }
