@@ -33,15 +33,26 @@ struct CommandLine {
   std::string model, out;
 };
 
+namespace fs = std::filesystem;
+
+absl::Status WriteAll(const UrdfOutput& urdf, const fs::path& out) {
+  if (out.has_parent_path()) RS_RETURN_IF_ERROR(MakeDirectories(out.parent_path().string()));
+  for (const auto& [name, bytes] : urdf.meshes) {
+    const fs::path path = out.parent_path() / name;
+    RS_RETURN_IF_ERROR(MakeDirectories(path.parent_path().string()));
+    RS_RETURN_IF_ERROR(WriteFileAtomically(path.string(), bytes));
+  }
+  return WriteFileAtomically(out.string(), urdf.xml);
+}
+
 absl::Status Run(const CommandLine& line) {
-  namespace fs = std::filesystem;
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(line.model, kMostBytes));
   RS_ASSIGN_OR_RETURN(const XmlFile file, XmlFile::Parse(line.model, text));
   if (std::string(file.root().Name()) != "mujoco")
     return file.Error(file.root(), absl::StrCat("the root is <", file.root().Name(),
                                                 ">, must be <mujoco>: MJCF"));
   RS_ASSIGN_OR_RETURN(const LoadedModel loaded, LoadMjcf(file));
-  const fs::path out = line.out, folder = out.parent_path();
+  const fs::path out = line.out;
   std::error_code error;
   if (fs::equivalent(line.model, out, error))
     return absl::InvalidArgumentError(
@@ -49,12 +60,8 @@ absl::Status Run(const CommandLine& line) {
   const auto urdf = UrdfOf(*loaded.model, absl::StrCat(out.stem().string(), "_meshes"));
   if (!urdf.ok())
     return absl::InvalidArgumentError(absl::StrCat(line.model, ": ", urdf.status().message()));
-  for (const auto& [name, bytes] : urdf->meshes) {
-    const fs::path path = folder / name;
-    RS_RETURN_IF_ERROR(MakeDirectories(path.parent_path().string()));
-    RS_RETURN_IF_ERROR(WriteFileAtomically(path.string(), bytes));
-  }
-  RS_RETURN_IF_ERROR(WriteFileAtomically(line.out, urdf->xml));
+  if (const absl::Status written = WriteAll(*urdf, out); !written.ok())
+    return absl::UnavailableError(written.message());
   std::vector<ModelFact> facts = loaded.facts;
   facts.insert(facts.end(), urdf->facts.begin(), urdf->facts.end());
   std::printf("%s\n%s", line.model.c_str(), ModelTableText(facts, "  ").c_str());
