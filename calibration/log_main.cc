@@ -7,8 +7,10 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "calibration/data/recording_rig.h"
 #include "calibration/data/recording_text.h"
 #include "calibration/model/plant.h"
@@ -29,20 +31,26 @@ constexpr char kExamples[] =
     "2 bad input.\n";
 
 struct CommandLine {
-  std::string recording, out, rig, model, unit;
+  std::string recording, out, rig, model;
+  std::vector<std::string> unit;
   RecordingOptions options;
 };
 
+// "deg", "0.0192", "shoulder=deg,elbow=0.0192".
 absl::Status TakeUnit(CommandLine* line) {
-  if (line->unit.empty()) return absl::OkStatus();
-  if (line->unit == "rad") {
-    line->options.to_rad = 1;
-  } else if (line->unit == "deg") {
-    line->options.to_rad = M_PI / 180;
-  } else if (!absl::SimpleAtod(line->unit, &line->options.to_rad) ||
-             !std::isfinite(line->options.to_rad) || line->options.to_rad <= 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--unit: is '", line->unit, "', must be rad, deg or a factor above 0 to radians"));
+  for (const std::string& word : line->unit) {
+    const std::pair<std::string, std::string> named = absl::StrSplit(word, absl::MaxSplits('=', 1));
+    const bool of_joint = absl::StrContains(word, '=');
+    const std::string& unit = of_joint ? named.second : word;
+    double to_rad = unit == "rad" ? 1 : unit == "deg" ? M_PI / 180 : 0;
+    if (to_rad == 0 && (!absl::SimpleAtod(unit, &to_rad) || !std::isfinite(to_rad) || to_rad <= 0))
+      return absl::InvalidArgumentError(
+          absl::StrCat("--unit: is '", word, "', must be rad, deg or a factor above 0 to radians, ",
+                       "of one joint JOINT=deg"));
+    if (of_joint ? !line->options.to_rad_of.emplace(named.first, to_rad).second
+                 : line->options.to_rad > 0)
+      return absl::InvalidArgumentError(absl::StrCat("--unit: '", word, "' says a unit again"));
+    if (!of_joint) line->options.to_rad = to_rad;
   }
   return absl::OkStatus();
 }
@@ -55,7 +63,7 @@ absl::Status DescribeModel(const RecordingPlan& plan) {
   for (const PlannedJoint& planned : plan.joints) {
     RigJoint joint;
     joint.name = planned.name;
-    joint.input = plan.input;
+    joint.input = planned.input;
     joint.fit = {"armature", "damping", "frictionloss"};  // as the first rig has it
     rig.joints.push_back(std::move(joint));
   }
@@ -71,6 +79,7 @@ absl::Status Inspect(CommandLine line) {
   std::optional<Rig> declared;
   if (!line.rig.empty()) {
     RS_ASSIGN_OR_RETURN(declared, ReadRig(line.rig));
+    for (const RigJoint& joint : declared->joints) line.options.inputs[joint.name] = joint.input;
   }
   RS_ASSIGN_OR_RETURN(const std::string kind, KindOfRecording(line.recording));
   RecordingStatistics statistics;
@@ -92,10 +101,14 @@ absl::Status Inspect(CommandLine line) {
                       WriteRecordingRig(line.recording, plan, declared, line.out));
   std::printf("%s: %d logs, %.1f s (%.1f s too short or without motion of a joint left out)\n",
               summary.rig_file.c_str(), summary.logs, summary.seconds, summary.seconds_left_out);
-  if (summary.late_rows > 0 || summary.bad_rows > 0)
-    std::printf("left out: %lld rows out of order, %lld with a number missing\n",
-                static_cast<long long>(summary.late_rows),
-                static_cast<long long>(summary.bad_rows));
+  for (const auto& [rows, why] :
+       {std::pair(summary.late_rows, "out of order"),
+        std::pair(summary.bad_rows, "without a number or stamp"),
+        std::pair(summary.wrong_stamps,
+                  "with a stamp that fits neither the rows before nor behind it"),
+        std::pair(summary.rows_without_command,
+                  "before the first command, or the first after a clock was set back")})
+    if (rows > 0) std::printf("left out: %lld rows %s\n", static_cast<long long>(rows), why);
   for (const std::string& key : summary.to_fill_in) std::printf("  fill in: %s\n", key.c_str());
   return absl::OkStatus();
 }
@@ -120,9 +133,14 @@ int Main(int argc, char** argv) {
       ->delimiter(',');
   inspect->add_option("--topic", line.options.topic,
                       "channel of the positions, where several hold the same joints");
-  inspect->add_option("--unit", line.unit,
-                      "of angles where the recording does not say it or is wrong: rad, deg, or a "
-                      "factor to radians");
+  inspect->add_option(
+      "--commands", line.options.commands,
+      "channel of the commands, where another was taken or it is far from the joints");
+  inspect
+      ->add_option("--unit", line.unit,
+                   "of angles where the recording does not say it or is wrong: rad, deg, or a "
+                   "factor to radians; of one joint shoulder=deg, with commas between them")
+      ->delimiter(',');
   inspect
       ->add_option("--rate-hz", line.options.rate_hz,
                    "rows per second, where the recording has no times")

@@ -65,11 +65,12 @@ absl::Status PieceWriter::Add(const PlannedRow& row) {
   std::string line;
   absl::StrAppendFormat(&line, "%.9f", static_cast<double>(row.at_ns - begin_ns_) * 1e-9);
   for (size_t j = 0; j < plan_.joints.size(); ++j) {
-    absl::StrAppendFormat(&line, ",%.17g", row.q[j] * plan_.to_rad);
-    if (plan_.joints[j].dq >= 0) absl::StrAppendFormat(&line, ",%.17g", row.dq[j] * plan_.to_rad);
+    const double to_rad = plan_.joints[j].to_rad;
+    absl::StrAppendFormat(&line, ",%.17g", row.q[j] * to_rad);
+    if (plan_.joints[j].dq >= 0) absl::StrAppendFormat(&line, ",%.17g", row.dq[j] * to_rad);
     if (plan_.joints[j].tau >= 0) absl::StrAppendFormat(&line, ",%.17g", row.tau[j]);
     if (plan_.joints[j].command >= 0)
-      absl::StrAppendFormat(&line, ",%.17g", row.command[j] * plan_.to_rad);
+      absl::StrAppendFormat(&line, ",%.17g", row.command[j] * to_rad);
     low_[j] = std::min(low_[j], row.q[j]);
     high_[j] = std::max(high_[j], row.q[j]);
   }
@@ -84,19 +85,20 @@ absl::Status PieceWriter::End() {
   if (file_ == nullptr) return absl::OkStatus();
   bool kept = rows_ >= kLeastRows;
   for (size_t j = 0; j < low_.size(); ++j)
-    kept = kept && (high_[j] - low_[j]) * plan_.to_rad >= kStill;
+    kept = kept && (high_[j] - low_[j]) * plan_.joints[j].to_rad >= kStill;
   const double seconds = static_cast<double>(last_ns_ - begin_ns_) * 1e-9;
+  if (!kept) {  // before anything waits for the disk: there may be many
+    std::fclose(std::exchange(file_, nullptr));
+    unlink(path_.c_str());
+    seconds_left_out_ += seconds;
+    return absl::OkStatus();
+  }
   const bool written = std::fflush(file_) == 0 && fsync(fileno(file_)) == 0;
   const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
   if (!written || !closed) {
     const absl::Status failed = Failed();
     unlink(path_.c_str());
     return failed;
-  }
-  if (!kept) {
-    unlink(path_.c_str());
-    seconds_left_out_ += seconds;
-    return absl::OkStatus();
   }
   const std::string name = absl::StrCat("log_", files_.size(), ".csv");
   const std::string final_path = (std::filesystem::path(folder_) / name).string();

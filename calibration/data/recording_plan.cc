@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <set>
+#include <tuple>
 #include <utility>
 
 #include "absl/strings/ascii.h"
@@ -11,6 +12,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/recordings/joint_messages.h"
 #include "common/recordings/table_rows.h"
 #include "common/status_macros.h"
 
@@ -22,9 +25,10 @@ constexpr double kShortestPiece = 20, kLongestPiece = 300;  // [s]
 constexpr double kNice = 0.005;        // a rate this near to a whole number is that number
 constexpr double kWithCommands = 1.1;  // so many times a row counts beside its command
 constexpr double kClearly = 3;         // times nearer is the command of a joint than of the next
-constexpr double kSame = 1e-3;      // of a joint's span: so near is a command the position itself
-constexpr double kNear = 0.2;       // of a joint's span: so far off is a command at most, RMS
-constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
+constexpr double kSame = 1e-3;       // of a joint's span: so near is a command the position itself
+constexpr double kNear = 0.2;        // of a joint's span: so far off is a command at most, RMS
+constexpr int64_t kLeastRows = 50;   // of a log (measured_log.cc)
+constexpr double kNearlyAll = 0.98;  // of the rows
 
 // Whether a name can stand in the header of a CSV file and in a rig.
 bool IsPlainName(const std::string& name) {
@@ -38,7 +42,7 @@ bool IsPlainName(const std::string& name) {
 std::vector<size_t> MostSet(const ChannelStatistics& channel) {
   const auto most =
       std::max_element(channel.position_sets.begin(), channel.position_sets.end(),
-                       [](const auto& a, const auto& b) { return a.second < b.second; });
+                       [](const auto& a, const auto& b) { return a.second.rows < b.second.rows; });
   return most == channel.position_sets.end() ? std::vector<size_t>() : most->first;
 }
 
@@ -55,8 +59,8 @@ std::vector<double> RowsOfPositions(const RecordingStatistics& statistics) {
       weight[signal.description.channel] = kWithCommands;
   }
   for (size_t i = 0; i < rows.size(); ++i) {
-    for (const auto& [set, count] : statistics.channels()[i].position_sets)
-      rows[i] = std::max(rows[i], weight[i] * static_cast<double>(count));
+    for (const auto& [names, set] : statistics.channels()[i].position_sets)
+      rows[i] = std::max(rows[i], weight[i] * static_cast<double>(set.rows));
   }
   return rows;
 }
@@ -147,14 +151,37 @@ double NextNearest(const RecordingStatistics& statistics, const SignalStatistics
   return next;
 }
 
-// The command with the joint's name, of the position's own rows or else of the most; or one without
-// a name that stays near the joint, and clearly nearer than to the next. A command with the name
-// that is far from the joint is none: it may be a step of the position.
-void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint, RecordingPlan* plan) {
+// How many of the first parts of two topics' names are the same, without the last.
+int SharedNamespace(const std::string& a, const std::string& b) {
+  const std::vector<std::string> parts = absl::StrSplit(a, '/'), others = absl::StrSplit(b, '/');
+  int shared = 0;
+  for (size_t i = 0; i + 1 < std::min(parts.size(), others.size()); ++i) {
+    if (parts[i] != others[i]) break;
+    ++shared;
+  }
+  return shared;
+}
+
+// A command that has a joint's name.
+struct NamedCommand {
+  int signal = -1;
+  int64_t count = 0;
+  // Whether it stands in the position's rows, what its topic's name shares, how near it is.
+  std::tuple<bool, int, double> quality;
+};
+
+// The command with the joint's name: of the position's own rows, else of its namespace, else the
+// nearest, of those that are most. Or one without a name that stays near the joint, and clearly
+// nearer than to the next. A command with the name that is far from the joint is none, because it
+// may be a step of the position: unless it is named (options.commands) or the reference of the same
+// controller's state.
+void FindCommand(const RecordingStatistics& statistics, const RecordingOptions& options,
+                 PlannedJoint* joint, RecordingPlan* plan) {
   const SignalStatistics& position = statistics.signals()[static_cast<size_t>(joint->q)];
-  const bool moves = position.span() * plan->to_rad >= kStill;
+  const RecordedChannel& positions = statistics.channels()[plan->channel].description;
+  const bool moves = position.span() * joint->to_rad >= kStill;
   double nearest = kNear * position.span();
-  std::pair<bool, int64_t> best;  // of those with the name
+  std::vector<NamedCommand> named;
   std::string refused;
   for (size_t i = 0; i < statistics.signals().size(); ++i) {
     const SignalStatistics& signal = statistics.signals()[i];
@@ -162,26 +189,27 @@ void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint, Rec
     if (signal.description.quantity != JointQuantity::kCommand || off == signal.off.end() ||
         signal.count < kLeastRows)
       continue;
+    const RecordedChannel& channel = statistics.channels()[signal.description.channel].description;
+    if (!options.commands.empty() && channel.name != options.commands) continue;
+    const bool in_row = signal.description.channel == plan->channel;
     const double distance = RootMean(off->second);
     if (!absl::StartsWith(signal.description.joint, "[")) {
-      if (moves && distance > kNear * position.span()) {
+      const bool said = !options.commands.empty() ||
+                        (in_row && KindOfType(channel.type) == JointMessageKind::kControllerState);
+      if (moves && !said && distance > kNear * position.span()) {
         refused = absl::StrFormat(
             "the command of %s in %s stays %.3g from a joint that spans %.3g: a step, another "
-            "unit, or another joint's? It is not taken",
-            signal.description.joint,
-            statistics.channels()[signal.description.channel].description.name, distance,
-            position.span());
+            "unit, or another joint's? It is not taken; --commands %s takes it",
+            signal.description.joint, channel.name, distance, position.span(), channel.name);
         continue;
       }
-      const std::pair quality(signal.description.channel == plan->channel, signal.count);
-      if (quality <= best) continue;
-      best = quality;
-      joint->command = static_cast<int>(i);
-      joint->command_because = "it has the joint's name";
+      named.push_back({static_cast<int>(i),
+                       signal.count,
+                       {in_row, SharedNamespace(channel.name, positions.name), -distance}});
       continue;
     }
     const double next = NextNearest(statistics, signal, position.description.joint);
-    if (best.second > 0 || kClearly * distance > next || distance >= nearest) continue;
+    if (kClearly * distance > next || distance >= nearest) continue;
     nearest = distance;
     joint->command = static_cast<int>(i);
     joint->command_because =
@@ -189,7 +217,54 @@ void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint, Rec
     if (std::isfinite(next))
       absl::StrAppendFormat(&joint->command_because, ", %.3g from the next", next);
   }
-  if (joint->command < 0 && !refused.empty()) plan->sentences.push_back(std::move(refused));
+  int64_t most = 0;
+  for (const NamedCommand& command : named) most = std::max(most, command.count);
+  const NamedCommand* best = nullptr;
+  for (const NamedCommand& command : named) {
+    if (2 * command.count >= most && (best == nullptr || command.quality > best->quality))
+      best = &command;
+  }
+  if (best != nullptr) {
+    joint->command = best->signal;
+    joint->command_because = "it has the joint's name";
+    const auto rank = [](const NamedCommand& command) {
+      return std::pair(std::get<0>(command.quality), std::get<1>(command.quality));
+    };
+    const auto alike = std::count_if(named.begin(), named.end(), [&](const NamedCommand& command) {
+      return rank(command) == rank(*best);
+    });
+    if (named.size() > 1)
+      absl::StrAppend(&joint->command_because, " and, of ", named.size(), " that do, ",
+                      alike > 1                    ? "stays nearest"
+                      : std::get<0>(best->quality) ? "stands in the positions' rows"
+                                                   : "has the topic that is nearest by its name");
+  } else if (joint->command < 0 && !refused.empty()) {
+    plan->sentences.push_back(std::move(refused));
+  }
+}
+
+// Whether --commands names a channel of commands.
+absl::Status CheckCommands(const RecordingStatistics& statistics, const RecordingOptions& options) {
+  if (options.commands.empty()) return absl::OkStatus();
+  std::set<std::string> known;
+  for (const SignalStatistics& signal : statistics.signals()) {
+    if (signal.description.quantity == JointQuantity::kCommand)
+      known.insert(statistics.channels()[signal.description.channel].description.name);
+  }
+  if (known.count(options.commands) > 0) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "--commands: '", options.commands, "' holds no commands of joints; those that do: ",
+      known.empty() ? "none" : absl::StrJoin(known, ", ")));
+}
+
+// Factor to radians; 0: not known.
+double ToRad(const RecordingStatistics& statistics, const RecordingOptions& options,
+             const RecordingPlan& plan, const std::string& joint) {
+  const auto own = options.to_rad_of.find(joint);
+  if (own != options.to_rad_of.end()) return own->second;
+  if (options.to_rad > 0) return options.to_rad;
+  const std::string& unit = statistics.channels()[plan.channel].description.unit;
+  return unit == "deg" ? M_PI / 180 : unit == "rad" ? 1 : 0;
 }
 
 absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& statistics,
@@ -214,13 +289,21 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
     chosen.push_back(*found);
   }
   if (!chosen.empty()) return chosen;
+  const bool no_unit = statistics.channels()[plan->channel].description.unit.empty();
   for (const size_t i : set) {
     const SignalStatistics& signal = statistics.signals()[i];
     const std::string& name = signal.description.joint;
-    if (signal.span() * plan->to_rad < kStill) {
-      plan->sentences.push_back(
-          absl::StrFormat("%s stands still (it spans %.3g) and is not in the rig", name,
-                          signal.span() * plan->to_rad));
+    const double to_rad = ToRad(statistics, options, *plan, name);
+    if (no_unit && IsGripper(name) && options.to_rad_of.count(name) == 0) {
+      plan->sentences.push_back(absl::StrCat(name,
+                                             " is not in the rig, its numbers are seldom angles; ",
+                                             "--unit ", name, "=FACTOR takes it"));
+    } else if (to_rad == 0) {
+      plan->sentences.push_back(absl::StrCat(name, " has no unit and is not in the rig; --unit ",
+                                             name, "=FACTOR says it"));
+    } else if (signal.span() * to_rad < kStill) {
+      plan->sentences.push_back(absl::StrFormat(
+          "%s stands still (it spans %.3g) and is not in the rig", name, signal.span() * to_rad));
     } else if (!IsPlainName(name)) {
       plan->sentences.push_back(
           absl::StrCat("joint '", name, "' is not in the rig: its name cannot stand in a table"));
@@ -231,61 +314,105 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
   return chosen;
 }
 
-// One input for all; joints that lack it are left out.
-void ChooseInput(const RecordingStatistics& statistics, RecordingPlan* plan) {
-  const auto commanded =
-      std::count_if(plan->joints.begin(), plan->joints.end(),
-                    [](const PlannedJoint& joint) { return joint.command >= 0; });
-  const auto driven = std::count_if(plan->joints.begin(), plan->joints.end(),
-                                    [](const PlannedJoint& joint) { return joint.tau >= 0; });
-  plan->input = commanded > 0 ? JointInput::kPositionTarget : JointInput::kTorque;
-  if (commanded == 0 && driven == 0) {
-    plan->joints.clear();
-    const bool asked = std::any_of(
-        statistics.signals().begin(), statistics.signals().end(),
-        [](const auto& s) { return s.description.quantity == JointQuantity::kCommand; });
-    plan->why_none = absl::StrCat(
-        asked ? "the recording's commands have not the names of these joints, or stay far from them"
-              : "the recording has positions and neither the commands nor the torques that made "
-                "them",
-        "; record the controller's state (JointTrajectoryControllerState) or the ",
-        asked ? "positions that the servos were sent" : "command's topic");
-    return;
-  }
+// What drives each joint: what the rig that is taken over says, else one input for all. Joints that
+// lack it are left out.
+absl::Status ChooseInput(const RecordingStatistics& statistics, const RecordingOptions& options,
+                         RecordingPlan* plan) {
+  const bool commanded = std::any_of(plan->joints.begin(), plan->joints.end(),
+                                     [](const auto& joint) { return joint.command >= 0; });
   std::vector<PlannedJoint> kept;
-  for (const PlannedJoint& joint : plan->joints) {
-    if ((commanded > 0 ? joint.command : joint.tau) >= 0)
-      kept.push_back(joint);
-    else
-      plan->sentences.push_back(absl::StrCat(
-          joint.name, " has no ", commanded > 0 ? "command" : "torque", " and is not in the rig"));
+  std::string lacked;
+  for (PlannedJoint& joint : plan->joints) {
+    const auto declared = options.inputs.find(joint.name);
+    joint.input = declared != options.inputs.end() ? declared->second
+                  : commanded                      ? JointInput::kPositionTarget
+                                                   : JointInput::kTorque;
+    if (joint.input == JointInput::kTransmission)
+      return absl::InvalidArgumentError(
+          absl::StrCat("--rig: joint ", joint.name,
+                       " has input: transmission, which compares q_motor and q_link; ",
+                       "a recording has one position of a joint: write its logs yourself, or say "
+                       "--joints without ",
+                       "it"));
+    const bool by_command = joint.input == JointInput::kPositionTarget;
+    if ((by_command ? joint.command : joint.tau) >= 0) {
+      kept.push_back(std::move(joint));
+      continue;
+    }
+    lacked = by_command ? "command" : "torque";
+    plan->sentences.push_back(
+        absl::StrCat(joint.name, " has no ", lacked,
+                     declared != options.inputs.end() ? ", which the rig asks for," : "",
+                     " and is not in the rig"));
   }
   plan->joints = std::move(kept);
+  if (!plan->joints.empty()) return absl::OkStatus();
+  const bool asked =
+      std::any_of(statistics.signals().begin(), statistics.signals().end(),
+                  [](const auto& s) { return s.description.quantity == JointQuantity::kCommand; });
+  if (!options.inputs.empty() && lacked == "torque") {
+    plan->why_none =
+        "the rig's joints are driven by torques, which the recording does not have; "
+        "record efforts, or take a rig with input: position_target";
+  } else if (asked) {
+    plan->why_none =
+        "the recording's commands have not the names of these joints, or stay far from them; "
+        "record "
+        "the positions that the servos were sent, or name the channel: --commands";
+  } else {
+    plan->why_none =
+        "the recording has positions and neither the commands nor the torques that made them; "
+        "record "
+        "the controller's state (JointTrajectoryControllerState) or the command's topic";
+  }
+  return absl::OkStatus();
 }
 
+// By the rows of the chosen positions: on one topic others may come between.
 void ChooseClock(const RecordingStatistics& statistics, const RecordingOptions& options,
                  RecordingPlan* plan) {
   const ChannelStatistics& channel = statistics.channels()[plan->channel];
-  plan->by_stamp = channel.stamped == channel.rows;
-  if (!plan->by_stamp && channel.stamped > 0)
+  const PositionSet& set = channel.position_sets.at(MostSet(channel));
+  plan->by_stamp = static_cast<double>(set.stamped) >= kNearlyAll * static_cast<double>(set.rows);
+  if (set.stamped > 0 && set.stamped < set.rows)
     plan->sentences.push_back(
-        absl::StrCat(channel.rows - channel.stamped, " of ", channel.rows,
-                     " rows have no header.stamp; rows stand at the recorder's times"));
-  if (plan->by_stamp && channel.stamp.steps() < channel.rows / 2) {
+        absl::StrCat(set.rows - set.stamped, " of ", set.rows, " rows have no header.stamp; ",
+                     plan->by_stamp ? "they are left out" : "rows stand at the recorder's times"));
+  if (plan->by_stamp && set.stamp.steps() < set.stamped / 2) {
     plan->by_stamp = false;
-    plan->sentences.push_back(absl::StrCat("header.stamp steps ", channel.stamp.steps(),
-                                           " times in ", channel.rows,
-                                           " rows; rows stand at the recorder's times"));
+    plan->sentences.push_back(absl::StrCat("header.stamp steps ", set.stamp.steps(), " times in ",
+                                           set.rows, " rows; rows stand at the recorder's times"));
   }
-  const StepCounts& clock = plan->by_stamp ? channel.stamp : channel.log;
-  plan->dt = clock.Quantile(0.5);
+  const StepCounts& clock = plan->by_stamp ? set.stamp : set.log;
+  plan->dt = clock.Typical();
   plan->made_up_rate_hz = options.rate_hz;
   plan->rate_hz = NiceRate(plan->dt > 0 ? 1 / plan->dt : 0);
   plan->longest_piece_s =
       std::clamp(clock.total_s() / kPieces + plan->dt, kShortestPiece, kLongestPiece);
 }
 
+// A quantity of the joint's rows; -1 where there is none, where it is always the same, as a driver
+// fills it in, or where some rows lack it.
+int MeasuredBeside(const RecordingStatistics& statistics, const std::string& joint,
+                   JointQuantity quantity, RecordingPlan* plan) {
+  const int found = statistics.Find(plan->channel, joint, quantity);
+  if (found < 0) return -1;
+  const SignalStatistics& signal = statistics.signals()[static_cast<size_t>(found)];
+  const ChannelStatistics& channel = statistics.channels()[plan->channel];
+  const int64_t rows = channel.position_sets.at(MostSet(channel)).rows;
+  const int64_t count = signal.count - signal.not_finite;
+  if (signal.span() == 0) return -1;
+  if (static_cast<double>(count) >= kNearlyAll * static_cast<double>(rows)) return found;
+  plan->sentences.push_back(absl::StrCat(QuantityName(quantity), " of ", joint, " stands in ",
+                                         count, " of ", rows, " rows and is left out"));
+  return -1;
+}
+
 }  // namespace
+
+bool IsGripper(const std::string& joint) {
+  return absl::StrContains(absl::AsciiStrToLower(joint), "gripper");
+}
 
 absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistics,
                                             const RecordingOptions& options) {
@@ -297,17 +424,15 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
   }
   plan.channel = static_cast<size_t>(channel);
   const ChannelStatistics& positions = statistics.channels()[plan.channel];
+  RS_RETURN_IF_ERROR(CheckCommands(statistics, options));
   ChooseClock(statistics, options, &plan);
-  plan.to_rad = options.to_rad;
-  if (options.to_rad == 0) {
-    const std::string& unit = positions.description.unit;
-    plan.to_rad = unit == "deg" ? M_PI / 180 : 1;
-    if (unit != "rad" && unit != "deg") {
-      plan.why_none = absl::StrCat("the unit of ", positions.description.name,
-                                   " is not known; say it: --unit rad, --unit deg, or --unit "
-                                   "FACTOR, which makes radians of its numbers");
-      return plan;
-    }
+  if (ToRad(statistics, options, plan, "") == 0 && options.to_rad_of.empty()) {
+    plan.why_none = absl::StrCat(
+        "the unit of ", positions.description.name,
+        " is not known; say it: --unit rad, --unit deg, ",
+        "--unit FACTOR, which makes radians of its numbers, or --unit JOINT=FACTOR,JOINT=deg,... "
+        "where joints differ");
+    return plan;
   }
   const std::string unit_of_t = positions.description.times.empty() ? UnitOfStep(plan.dt) : "";
   if (plan.rate_hz < 1 || plan.rate_hz > 1e5) {
@@ -325,20 +450,20 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
     PlannedJoint joint;
     joint.name = name;
     joint.q = static_cast<int>(signal);
-    joint.dq = statistics.Find(plan.channel, name, JointQuantity::kVelocity);
-    joint.tau = statistics.Find(plan.channel, name, JointQuantity::kEffort);
-    if (joint.tau >= 0 && statistics.signals()[static_cast<size_t>(joint.tau)].span() == 0)
-      joint.tau = -1;  // drivers fill in zeros
-    if (joint.dq >= 0 && statistics.signals()[static_cast<size_t>(joint.dq)].span() == 0)
-      joint.dq = -1;
-    FindCommand(statistics, &joint, &plan);
+    joint.to_rad = ToRad(statistics, options, plan, name);
+    if (joint.to_rad == 0)
+      return absl::InvalidArgumentError(
+          absl::StrCat("--joints: '", name, "' has no unit; say --unit ", name, "=FACTOR"));
+    joint.dq = MeasuredBeside(statistics, name, JointQuantity::kVelocity, &plan);
+    joint.tau = MeasuredBeside(statistics, name, JointQuantity::kEffort, &plan);
+    FindCommand(statistics, options, &joint, &plan);
     plan.joints.push_back(std::move(joint));
   }
   if (plan.joints.empty()) {
     plan.why_none = absl::StrCat("no joint of ", positions.description.name, " moves");
     return plan;
   }
-  ChooseInput(statistics, &plan);
+  RS_RETURN_IF_ERROR(ChooseInput(statistics, options, &plan));
   for (PlannedJoint& joint : plan.joints) {
     if (joint.command < 0) continue;
     joint.command_in_row =

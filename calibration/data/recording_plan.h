@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -13,8 +14,12 @@ namespace robostress::calibration {
 struct RecordingOptions {
   std::vector<std::string> joints;  // empty: those that move, of the messages that are most
   std::string topic;                // channel of the positions; empty: chosen
+  std::string commands;             // channel of the commands, however far they are; empty: chosen
   // Factor from the recording's angles to radians (metres of a slide); 0: what the recording says.
   double to_rad = 0;
+  std::map<std::string, double> to_rad_of;  // of these joints
+  // What drives the joints of a rig that is taken over; others: commands, or without them torques.
+  std::map<std::string, JointInput> inputs;
   double rate_hz = 0;  // of rows that have no times of their own; 0: what the file says
 };
 
@@ -24,6 +29,8 @@ struct PlannedJoint {
   int q = -1, dq = -1, tau = -1, command = -1;
   std::string command_because;  // why this is its command
   bool command_in_row = false;  // whether it stands in the message of the position
+  JointInput input = JointInput::kPositionTarget;
+  double to_rad = 1;
 };
 
 // Which of a recording's signals become a rig, and what of the recording is said in sentences.
@@ -35,9 +42,7 @@ struct RecordingPlan {
   bool by_stamp = false;        // whether rows stand at header.stamp, else at the recorder's time
   double rate_hz = 0;
   double made_up_rate_hz = 0;  // RecordingOptions::rate_hz
-  double dt = 0;               // [s] median
-  double to_rad = 1;
-  JointInput input = JointInput::kPositionTarget;
+  double dt = 0;               // [s] between two rows
   double longest_piece_s = 0;
   std::string model;                   // file of the first rig's model; empty: to be filled in
   std::vector<std::string> sentences;  // what was left out and why
@@ -47,7 +52,13 @@ struct RecordingPlan {
 absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistics,
                                             const RecordingOptions& options);
 
+// Whether a joint is one by its name: its numbers are seldom angles, rather percent of its way,
+// metres or counts.
+bool IsGripper(const std::string& joint);
+
 // A joint that spans less stands still [rad].
 inline constexpr double kStill = 0.01;
+// Stamps that are further from others, by the recorder's times, are of another clock [s].
+inline constexpr double kTwoClocks = 0.05;
 
 }  // namespace robostress::calibration

@@ -11,7 +11,10 @@ namespace {
 constexpr int kBinsPerOctave = 32;
 constexpr int kBins = 48 * kBinsPerOctave;  // up to 2^48 ns, three days
 constexpr size_t kMostNotes = 200;
-constexpr size_t kMostSets = 64;   // of names in one channel's messages
+constexpr size_t kMostSets = 64;  // of names in one channel's messages
+constexpr size_t kMostSetsOfAll = 1024, kMostCompared = 256;
+constexpr size_t kMostValues = 1024;
+constexpr double kGap = 5;         // times the median: no step between two rows
 constexpr size_t kMostAlike = 64;  // positions that a command without a name is compared with
 constexpr double kTurn = 0.02;     // of the span: a motion back by less is no reversal
 
@@ -50,6 +53,44 @@ double StepCounts::Quantile(double share) const {
       return bin.sum / static_cast<double>(bin.count) * 1e-9;
   }
   return 0;
+}
+
+double StepCounts::MeanBetween(double least_s, double most_s, int64_t* count) const {
+  double sum = 0;
+  *count = 0;
+  for (const Bin& bin : bins_) {
+    const double mean = bin.count > 0 ? bin.sum / static_cast<double>(bin.count) * 1e-9 : 0;
+    if (bin.count == 0 || mean < least_s || mean > most_s) continue;
+    sum += bin.sum * 1e-9;
+    *count += bin.count;
+  }
+  return *count > 0 ? sum / static_cast<double>(*count) : 0;
+}
+
+double StepCounts::Typical() const {
+  const double median = Quantile(0.5);
+  int64_t count = 0;
+  const double near = MeanBetween(0.5 * median, 1.5 * median, &count);
+  return 2 * count > steps_ ? near : MeanBetween(0, kGap * median, &count);
+}
+
+void ValueSample::Add(double value) {
+  if (left_-- > 0) return;
+  left_ = every_ - 1;
+  values_.push_back(value);
+  if (values_.size() < kMostValues) return;
+  for (size_t i = 0; 2 * i < values_.size(); ++i) values_[i] = values_[2 * i];
+  values_.resize(kMostValues / 2);
+  every_ *= 2;
+  left_ = every_ - 1;
+}
+
+double ValueSample::Median() const {
+  if (values_.empty()) return 0;
+  std::vector<double> sorted = values_;
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  return *middle;
 }
 
 int64_t StepCounts::LongerThan(double limit_s) const {
@@ -161,6 +202,35 @@ void RecordingStatistics::CompareCommand(size_t index, double value) {
   }
 }
 
+void RecordingStatistics::TakePositionSet(const JointRow& row, std::vector<size_t> set) {
+  ChannelStatistics& channel = channels_[row.channel];
+  std::sort(set.begin(), set.end());
+  auto found = channel.position_sets.find(set);
+  if (found == channel.position_sets.end()) {
+    if (channel.position_sets.size() >= kMostSets || sets_ >= kMostSetsOfAll) return;
+    ++sets_;
+    found = channel.position_sets.emplace(std::move(set), PositionSet()).first;
+  }
+  PositionSet& rows = found->second;
+  const bool first = rows.episode != episodes_;
+  rows.episode = episodes_;
+  ++rows.rows;
+  rows.log.Add(row.log_ns, first);
+  if (!row.stamped) return;
+  rows.stamp.Add(row.stamp_ns, first || rows.stamped == 0);
+  ++rows.stamped;
+  ahead_of_log_[row.channel] = row.stamp_ns - row.log_ns;
+}
+
+void RecordingStatistics::CompareClocks(const JointRow& row) {
+  ChannelStatistics& channel = channels_[row.channel];
+  for (const auto& [positions, ahead] : ahead_of_log_) {
+    if (positions == row.channel) continue;
+    if (channel.ahead.count(positions) == 0 && compared_++ >= kMostCompared) continue;
+    channel.ahead[positions].Add(static_cast<double>(row.stamp_ns - row.log_ns - ahead) * 1e-9);
+  }
+}
+
 absl::Status RecordingStatistics::OnRow(const JointRow& row) {
   ChannelStatistics& channel = channels_[row.channel];
   const bool first = last_episode_[row.channel] != episodes_;
@@ -180,17 +250,18 @@ absl::Status RecordingStatistics::OnRow(const JointRow& row) {
       derivative[signal.joint] =
           (value.value - last.value) / (static_cast<double>(row.stamp_ns - last.at_ns) * 1e-9);
   }
-  std::sort(set.begin(), set.end());
-  if (!set.empty() &&
-      (channel.position_sets.count(set) > 0 || channel.position_sets.size() < kMostSets))
-    ++channel.position_sets[set];
+  if (!set.empty()) TakePositionSet(row, std::move(set));
   CompareVelocity(row, derivative);
   for (const SignalValue& value : row.values) TakeValue(value, row.stamp_ns);
+  bool asks = false;
   for (const SignalValue& value : row.values) {
-    if (signals_[value.signal].description.quantity == JointQuantity::kCommand &&
-        std::isfinite(value.value))
-      CompareCommand(value.signal, value.value);
+    if (signals_[value.signal].description.quantity != JointQuantity::kCommand ||
+        !std::isfinite(value.value))
+      continue;
+    asks = true;
+    CompareCommand(value.signal, value.value);
   }
+  if (asks && row.stamped) CompareClocks(row);
   return absl::OkStatus();
 }
 

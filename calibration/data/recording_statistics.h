@@ -24,6 +24,9 @@ class StepCounts {
   int64_t steps() const { return steps_; }  // forward
   // The step that a share of all is not above, the mean of its bin [s]; 0: none.
   double Quantile(double share) const;
+  // The mean of the steps that are within a half of the median [s], where they are most; else of
+  // those that are no gaps. 0: none. Jitter does not change it.
+  double Typical() const;
   // Steps longer than `limit_s`.
   int64_t LongerThan(double limit_s) const;
   double longest_s() const { return static_cast<double>(longest_) * 1e-9; }
@@ -36,17 +39,41 @@ class StepCounts {
     int64_t count = 0;
     double sum = 0;
   };
+  double MeanBetween(double least_s, double most_s, int64_t* count) const;
+
   std::vector<Bin> bins_;
   int64_t ticks_ = 0, backwards_ = 0, duplicates_ = 0, steps_ = 0;
   int64_t first_ = 0, last_ = 0, longest_ = 0, longest_at_ = 0;
   double total_s_ = 0;
 };
 
+// Every so many-th of many values, at most 1024, evenly over all of them.
+class ValueSample {
+ public:
+  void Add(double value);
+  bool empty() const { return values_.empty(); }
+  double Median() const;  // 0: none
+
+ private:
+  std::vector<double> values_;
+  int64_t every_ = 1, left_ = 0;
+};
+
+// The rows of a channel that hold the same positions: where an arm and a gripper speak on one
+// topic, each has its own.
+struct PositionSet {
+  int64_t rows = 0, stamped = 0, episode = -1;  // episode: the last that had such a row
+  StepCounts log, stamp;
+};
+
 struct ChannelStatistics {
   RecordedChannel description;
   int64_t rows = 0, stamped = 0;
   StepCounts log, stamp;
-  std::map<std::vector<size_t>, int64_t> position_sets;  // rows by the positions that they hold
+  std::map<std::vector<size_t>, PositionSet> position_sets;  // by signals
+  // Of commands: by channel of positions, how far this one's stamps are ahead of that one's, each
+  // against the recorder's times [s].
+  std::map<size_t, ValueSample> ahead;
 };
 
 struct SignalStatistics {
@@ -90,11 +117,15 @@ class RecordingStatistics : public RecordingVisitor {
   void TakeReversal(SignalStatistics* signal, Last* last, double value);
   void CompareVelocity(const JointRow& row, const std::map<std::string, double>& derivative);
   void CompareCommand(size_t signal, double value);
+  void TakePositionSet(const JointRow& row, std::vector<size_t> set);
+  void CompareClocks(const JointRow& row);
 
   std::vector<ChannelStatistics> channels_;
   std::vector<SignalStatistics> signals_;
   std::vector<Last> last_;
-  std::vector<int64_t> last_episode_;                     // of channels
+  std::vector<int64_t> last_episode_;       // of channels
+  std::map<size_t, int64_t> ahead_of_log_;  // stamp minus log [ns] of positions
+  size_t sets_ = 0, compared_ = 0;
   std::map<std::string, std::vector<size_t>> positions_;  // signals by joint
   std::vector<size_t> all_positions_;
   std::vector<std::string> notes_;

@@ -19,6 +19,7 @@ constexpr double kRowsPerPeriod = 3;     // of a motion that rows still show
 constexpr double kSlower = 1.4;          // times a position's period: commands are fewer
 constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
 constexpr double kManyTurns = 8 * M_PI;  // [rad] angles beyond are rather in another unit
+constexpr double kSoonAfter = 0.01;      // [s] a command's stamp: not worth a word
 constexpr size_t kMostJoints = 64;       // that are printed
 constexpr size_t kLongestText = 400;
 
@@ -31,7 +32,7 @@ std::string Printable(const std::string& text) {
 }
 
 std::string ClockText(const char* name, const StepCounts& clock) {
-  const double dt = clock.Quantile(0.5);
+  const double dt = clock.Typical();
   if (dt == 0) return absl::StrFormat("    %s: no time passes\n", name);
   std::string text = absl::StrFormat(
       "    %s: every %.4g ms (5 %% to 95 %%: %.4g to %.4g ms), longest %.4g ms at %.2f s", name,
@@ -49,7 +50,7 @@ std::string ClockText(const char* name, const StepCounts& clock) {
 
 std::string ChannelText(const ChannelStatistics& channel) {
   const StepCounts& clock = channel.stamped > 0 ? channel.stamp : channel.log;
-  const double dt = clock.Quantile(0.5);
+  const double dt = clock.Typical();
   std::string text = absl::StrFormat(
       "  %s  [%s]  %d rows, %.4g Hz, %.2f s%s\n", Printable(channel.description.name),
       Printable(channel.description.type), channel.rows, dt > 0 ? 1 / dt : 0, clock.total_s(),
@@ -76,8 +77,14 @@ std::string UnitDoubt(const RecordingStatistics& statistics, const SignalStatist
   const double largest = std::max(std::abs(position.low), std::abs(position.high)) * to_rad;
   if (position.whole && position.span() > 100)
     return "whole numbers: counts of an encoder? then --unit FACTOR";
+  const std::string& joint = position.description.joint;
+  const bool no_unit = statistics.channels()[position.description.channel].description.unit.empty();
+  if (no_unit && IsGripper(joint)) return "";
   if (largest > kManyTurns)
-    return absl::StrFormat("values reach %.4g: degrees? then --unit deg", largest);
+    return absl::StrCat(absl::StrFormat("values reach %.4g: degrees? then --unit deg", largest),
+                        no_unit && largest <= 100
+                            ? absl::StrCat("; percent of its way? then --unit ", joint, "=FACTOR")
+                            : "");
   const int velocity = statistics.Find(position.description.channel, position.description.joint,
                                        JointQuantity::kVelocity);
   if (velocity < 0) return "";
@@ -107,7 +114,11 @@ std::string UnitText(const RecordingStatistics& statistics, const RecordingPlan&
   for (const SignalStatistics& signal : statistics.signals()) {
     if (signal.description.quantity != JointQuantity::kPosition || said.size() >= kMostJoints)
       continue;
-    const std::string doubt = UnitDoubt(statistics, signal, plan.to_rad > 0 ? plan.to_rad : 1);
+    const auto planned = std::find_if(
+        plan.joints.begin(), plan.joints.end(),
+        [&](const PlannedJoint& joint) { return joint.name == signal.description.joint; });
+    const std::string doubt =
+        UnitDoubt(statistics, signal, planned == plan.joints.end() ? 1 : planned->to_rad);
     if (!doubt.empty() && said.insert(signal.description.joint).second)
       absl::StrAppend(&text, "    ", Printable(signal.description.joint), ": ", doubt, "\n");
   }
@@ -150,8 +161,18 @@ std::string CommandsText(const RecordingStatistics& statistics, const RecordingP
     if (!channel.description.caution.empty())
       absl::StrAppend(&text, "  Of these commands: ", Printable(channel.description.caution),
                       ".\n");
+    const auto ahead = channel.ahead.find(plan.channel);
+    const double by_s = ahead == channel.ahead.end() ? 0 : ahead->second.Median();
+    if (std::abs(by_s) > kSoonAfter && plan.by_stamp)
+      absl::StrAppendFormat(
+          &text, "  Stamps of %s are %.3f s %s those of %s, by the recorder's times: %s.\n",
+          Printable(channel.description.name), std::abs(by_s), by_s > 0 ? "ahead of" : "behind",
+          Printable(statistics.channels()[plan.channel].description.name),
+          std::abs(by_s) > kTwoClocks
+              ? "two clocks? These commands stand by the recorder's times"
+              : "two clocks, or the way to the recorder? They stand by their stamps");
     const StepCounts& clock = channel.stamped > 0 ? channel.stamp : channel.log;
-    const double dt = clock.Quantile(0.5);
+    const double dt = clock.Typical();
     if (index != plan.channel && dt > kSlower * plan.dt)
       absl::StrAppendFormat(&text,
                             "  Commands come at %.4g Hz, positions at %.4g Hz: between, the last "

@@ -346,14 +346,22 @@ absl::StatusOr<Rig> ReadRig(const std::string& file, RigLogs logs) {
   }
 }
 
+std::string RelativePath(const std::string& path, const std::string& folder) {
+  namespace fs = std::filesystem;
+  const fs::path from = fs::absolute(folder).lexically_normal();
+  const fs::path to = fs::absolute(path).lexically_normal();
+  const fs::path plain = to.lexically_relative(from);
+  std::error_code error;
+  const fs::path real = fs::weakly_canonical(from, error);
+  if (error || real == from || plain.begin() == plain.end() || *plain.begin() != "..")
+    return plain.string();
+  const fs::path real_parent = fs::weakly_canonical(to.parent_path(), error);
+  return error ? plain.string() : (real_parent / to.filename()).lexically_relative(real).string();
+}
+
 std::string WriteRig(const Rig& rig) {
   const std::filesystem::path folder = std::filesystem::path(rig.file).parent_path();
-  const auto relative = [&](const std::string& path) {
-    return std::filesystem::absolute(path)
-        .lexically_normal()
-        .lexically_relative(std::filesystem::absolute(folder).lexically_normal())
-        .string();
-  };
+  const auto relative = [&](const std::string& path) { return RelativePath(path, folder); };
   YAML::Emitter out;
   out.SetDoublePrecision(12);
   out << YAML::BeginMap;

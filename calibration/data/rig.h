@@ -110,6 +110,9 @@ const std::vector<std::string>& ModelParameterNames();
 enum class RigLogs { kNeeded, kNone };  // kNone: a rig that nothing was recorded of yet is one
 absl::StatusOr<Rig> ReadRig(const std::string& file, RigLogs logs = RigLogs::kNeeded);
 std::string WriteRig(const Rig& rig);
+// `path` as a file in `folder` names it. A folder that is reached by a link has other parents than
+// its name says.
+std::string RelativePath(const std::string& path, const std::string& folder);
 // "new.csv,elbow.known_mass=0.3": a log to fit beside those of `rig`, its file as the caller's
 // folder has it, and its overrides. Errors name what is wrong and what is allowed.
 absl::StatusOr<RigLog> ParseRigLog(const std::string& text, const Rig& rig);

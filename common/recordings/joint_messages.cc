@@ -140,30 +140,39 @@ std::string With(std::string text, std::vector<std::pair<const char*, const char
   return text;
 }
 
-std::string ControllerState(const char* points, const char* behind) {
-  std::string text = "std_msgs/Header header\nstring[] joint_names\n";
-  for (const char* multi : {"", "multi_dof_"}) {
-    if (*multi != 0) absl::StrAppend(&text, "string[] multi_dof_joint_names\n");
-    text += absl::StrReplaceAll(
-        points,
-        {{"POINT", *multi == 0 ? "trajectory_msgs/JointTrajectoryPoint "
-                               : "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_"}});
-  }
-  return With(
-      text + behind,
-      {{"std_msgs/Header", kHeader},
-       {"builtin_interfaces/Time", kTime},
-       {"builtin_interfaces/Duration", kTime},
-       {"trajectory_msgs/JointTrajectoryPoint", kPoint},
-       {"trajectory_msgs/MultiDOFJointTrajectoryPoint",
-        "geometry_msgs/Transform[] transforms\ngeometry_msgs/Twist[] velocities\n"
-        "geometry_msgs/Twist[] accelerations\n"
-        "builtin_interfaces/Duration time_from_start\n"},
-       {"geometry_msgs/Transform",
-        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"},
-       {"geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"},
-       {"geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"},
-       {"geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"}});
+// The layouts that the tags of control_msgs have had, the newest first: 5.3 on, 5.0 to 5.2, 4.4 to
+// 4.8 (Humble), 4.0 to 4.3, up to 3.0.
+std::vector<std::string> ControllerStates() {
+  constexpr char kNow[] = "POINTreference\nPOINTfeedback\nPOINTerror\nPOINToutput\n";
+  constexpr char kOld[] = "POINTdesired\nPOINTactual\nPOINTerror\n";
+  const std::string both = absl::StrCat(kNow, "POINTdesired\nPOINTactual\n");
+  const auto layout = [](absl::string_view points, bool multi, const char* behind) {
+    std::string text = absl::StrCat(
+        "std_msgs/Header header\nstring[] joint_names\n",
+        absl::StrReplaceAll(points, {{"POINT", "trajectory_msgs/JointTrajectoryPoint "}}));
+    if (multi)
+      absl::StrAppend(
+          &text, "string[] multi_dof_joint_names\n",
+          absl::StrReplaceAll(
+              points, {{"POINT", "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_"}}));
+    return With(
+        text + behind,
+        {{"std_msgs/Header", kHeader},
+         {"builtin_interfaces/Time", kTime},
+         {"builtin_interfaces/Duration", kTime},
+         {"trajectory_msgs/JointTrajectoryPoint", kPoint},
+         {"trajectory_msgs/MultiDOFJointTrajectoryPoint",
+          "geometry_msgs/Transform[] transforms\ngeometry_msgs/Twist[] velocities\n"
+          "geometry_msgs/Twist[] accelerations\n"
+          "builtin_interfaces/Duration time_from_start\n"},
+         {"geometry_msgs/Transform",
+          "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"},
+         {"geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"},
+         {"geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"},
+         {"geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"}});
+  };
+  return {layout(kNow, true, "float64 speed_scaling_factor\n"), layout(kNow, true, ""),
+          layout(both, true, ""), layout(kOld, true, ""), layout(kOld, false, "")};
 }
 
 }  // namespace
@@ -253,19 +262,7 @@ std::vector<std::string> KnownDefinitions(JointMessageKind kind) {
                "float64[] velocity\nfloat64[] effort\n",
                {{"std_msgs/Header", kHeader}, {"builtin_interfaces/Time", kTime}})};
     case JointMessageKind::kControllerState:
-      return {ControllerState("POINTreference\nPOINTfeedback\nPOINTerror\nPOINToutput\n",
-                              "float64 speed_scaling_factor\n"),
-              ControllerState("POINTreference\nPOINTfeedback\nPOINTerror\nPOINToutput\n"
-                              "POINTdesired\nPOINTactual\n",
-                              "float64 speed_scaling_factor\n"),
-              With("std_msgs/Header header\nstring[] joint_names\n"
-                   "trajectory_msgs/JointTrajectoryPoint desired\n"
-                   "trajectory_msgs/JointTrajectoryPoint actual\n"
-                   "trajectory_msgs/JointTrajectoryPoint error\n",
-                   {{"std_msgs/Header", kHeader},
-                    {"builtin_interfaces/Time", kTime},
-                    {"builtin_interfaces/Duration", kTime},
-                    {"trajectory_msgs/JointTrajectoryPoint", kPoint}})};
+      return ControllerStates();
     case JointMessageKind::kTrajectory:
       return {
           With("std_msgs/Header header\nstring[] joint_names\n"

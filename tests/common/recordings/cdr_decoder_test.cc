@@ -193,30 +193,30 @@ void AddPoint(CdrBytes* bytes, std::vector<double> positions, std::vector<double
   bytes->Add(int32_t{0}).Add(uint32_t{0});
 }
 
-// The three layouts that control_msgs has had, by the definitions that go with them.
+// The layouts of control_msgs' tags, by the definitions that go with them.
 TEST(JointMessagesTest, ReadsControllerStatesOfEveryLayout) {
   const std::vector<std::string> definitions = KnownDefinitions(JointMessageKind::kControllerState);
-  ASSERT_EQ(definitions.size(), 3);
-  for (size_t layout = 0; layout < 3; ++layout) {
+  const struct {
+    int points;  // reference, feedback, error, output, desired, actual; or desired, actual, error
+    bool multi, factor;
+  } layouts[] = {
+      {4, true, true}, {4, true, false}, {6, true, false}, {3, true, false}, {3, false, false}};
+  ASSERT_EQ(definitions.size(), std::size(layouts));
+  for (size_t layout = 0; layout < std::size(layouts); ++layout) {
+    const auto& [points, multi, factor] = layouts[layout];
     CdrBytes bytes;
     bytes.Add(int32_t{3}).Add(uint32_t{4}).Text("").Texts({"a", "b"});
-    if (layout < 2) {
-      AddPoint(&bytes, {1, 2}, {});        // reference
-      AddPoint(&bytes, {3, 4}, {0.5, 0});  // feedback
-      AddPoint(&bytes, {}, {});            // error
-      AddPoint(&bytes, {}, {});            // output
-      if (layout == 1) AddPoint(&bytes, {9, 9}, {}), AddPoint(&bytes, {9, 9}, {});
-      bytes.Texts({});
-      for (int i = 0; i < (layout == 1 ? 6 : 4); ++i) {
-        bytes.Add(uint32_t{0}).Add(uint32_t{0}).Add(uint32_t{0});
-        bytes.Add(int32_t{0}).Add(uint32_t{0});
-      }
-      bytes.Add(1.0);
-    } else {
-      AddPoint(&bytes, {1, 2}, {});        // desired
-      AddPoint(&bytes, {3, 4}, {0.5, 0});  // actual
-      AddPoint(&bytes, {}, {});            // error
+    AddPoint(&bytes, {1, 2}, {});        // reference or desired
+    AddPoint(&bytes, {3, 4}, {0.5, 0});  // feedback or actual
+    AddPoint(&bytes, {}, {});            // error
+    if (points > 3) AddPoint(&bytes, {}, {});
+    if (points > 4) AddPoint(&bytes, {9, 9}, {}), AddPoint(&bytes, {9, 9}, {});
+    if (multi) bytes.Texts({});
+    for (int i = 0; multi && i < points; ++i) {
+      bytes.Add(uint32_t{0}).Add(uint32_t{0}).Add(uint32_t{0});
+      bytes.Add(int32_t{0}).Add(uint32_t{0});
     }
+    if (factor) bytes.Add(1.0);
     const RosSchema schema =
         SchemaOf(definitions[layout], "control_msgs/msg/JointTrajectoryControllerState");
     const auto value = DecodeCdr(schema, bytes.Message());
@@ -229,7 +229,7 @@ TEST(JointMessagesTest, ReadsControllerStatesOfEveryLayout) {
     EXPECT_THAT(found, ElementsAre(std::pair("command a", 1.0), std::pair("command b", 2.0),
                                    std::pair("position a", 3.0), std::pair("position b", 4.0),
                                    std::pair("velocity a", 0.5), std::pair("velocity b", 0.0)));
-    for (size_t other = 0; other < 3; ++other) {
+    for (size_t other = 0; other < definitions.size(); ++other) {
       if (other == layout) continue;
       const RosSchema wrong =
           SchemaOf(definitions[other], "control_msgs/msg/JointTrajectoryControllerState");

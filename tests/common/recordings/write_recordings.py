@@ -6,7 +6,9 @@ Leaves recordings and expected.json, which says of each what is in it: rows of [
 
 import json
 import os
+import sqlite3
 import sys
+from contextlib import closing
 
 import h5py
 import numpy as np
@@ -21,10 +23,13 @@ RULE = "=" * 80 + "\n"
 JOINT_STATE = ("std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
                + RULE + "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
                + RULE + "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n")
-POINTS = {
-    "humble": ["reference", "feedback", "error", "output", "desired", "actual"],
-    "jazzy": ["reference", "feedback", "error", "output"],
-    "galactic": ["desired", "actual", "error"],
+# The layouts of control_msgs' tags: points, whether there are those of many degrees of freedom, what stands behind.
+LAYOUTS = {
+    "v6": (["reference", "feedback", "error", "output"], True, ["float64 speed_scaling_factor"]),
+    "v5": (["reference", "feedback", "error", "output"], True, []),
+    "humble": (["reference", "feedback", "error", "output", "desired", "actual"], True, []),
+    "v4": (["desired", "actual", "error"], True, []),
+    "galactic": (["desired", "actual", "error"], False, []),
 }
 START = 1_700_000_000_000_000_000
 ROWS = 300
@@ -84,11 +89,12 @@ def write_controller_state(path, layout, plugin):
     store = get_typestore(Stores.ROS2_HUMBLE)
     name = "control_msgs/msg/JointTrajectoryControllerState"
     lines = ["std_msgs/Header header", "string[] joint_names"]
-    lines += [f"trajectory_msgs/JointTrajectoryPoint {point}" for point in POINTS[layout]]
-    if layout != "galactic":
+    points, many, behind = LAYOUTS[layout]
+    lines += [f"trajectory_msgs/JointTrajectoryPoint {point}" for point in points]
+    if many:
         lines += ["string[] multi_dof_joint_names"]
-        lines += [f"trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_{point}" for point in POINTS[layout]]
-        lines += ["float64 speed_scaling_factor"]
+        lines += [f"trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_{point}" for point in points]
+    lines += behind
     store.register(get_types_from_msg("\n".join(lines) + "\n", name))
     types = store.types
     time, duration = types["builtin_interfaces/msg/Time"], types["builtin_interfaces/msg/Duration"]
@@ -101,26 +107,30 @@ def write_controller_state(path, layout, plugin):
                      time_from_start=duration(sec=0, nanosec=0))
 
     rows = []
-    # A bag of version 8 holds no definitions in SQLite: the reader's own have to fit.
     version = 8 if plugin is StoragePlugin.SQLITE3 else 9
     with Writer(path, version=version, storage_plugin=plugin) as writer:
         connection = writer.add_connection("/controller/state", name, typestore=store)
         for i in range(ROWS):
             stamp, q, command = START + i * 10_000_000, [np.sin(0.1 * i), 0.2 * i], [np.sin(0.1 * i + 0.05), 0.2 * i + 1]
-            points = {"reference": at(command), "desired": at(command), "feedback": at(q, [0.5, -0.25]),
-                      "actual": at(q, [0.5, -0.25]), "error": at(none), "output": at(none)}
-            fields = {key: points[key] for key in POINTS[layout]}
-            if layout != "galactic":
+            at_points = {"reference": at(command), "desired": at(command), "feedback": at(q, [0.5, -0.25]),
+                         "actual": at(q, [0.5, -0.25]), "error": at(none), "output": at(none)}
+            fields = {key: at_points[key] for key in points}
+            if many:
                 fields["multi_dof_joint_names"] = []
                 fields.update({f"multi_dof_{key}": multi(transforms=[], velocities=[], accelerations=[],
                                                          time_from_start=duration(sec=0, nanosec=0))
-                               for key in POINTS[layout]})
+                               for key in points})
+            if behind:
                 fields["speed_scaling_factor"] = 1.0
             header = types["std_msgs/msg/Header"](stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="")
             message = state(header=header, joint_names=["a", "b"], **fields)
             writer.write(connection, stamp, store.serialize_cdr(message, name))
             rows.append([stamp, {"position a": float(q[0]), "position b": q[1], "velocity a": 0.5, "velocity b": -0.25,
                                  "command a": float(command[0]), "command b": command[1]}])
+    if plugin is StoragePlugin.SQLITE3:  # recorders up to Humble write no definitions: the reader's own have to fit
+        for file in path.glob("*.db3"):
+            with closing(sqlite3.connect(file)) as data, data:
+                data.execute("DROP TABLE message_definitions")
     return rows
 
 
@@ -212,7 +222,7 @@ def main(folder):
     add("bag_sqlite_8", write_rosbag, StoragePlugin.SQLITE3, 8, None)
     add("bag_sqlite_file_zstd", write_rosbag, StoragePlugin.SQLITE3, 9, CompressionMode.FILE)
     add("bag_sqlite_message_zstd", write_rosbag, StoragePlugin.SQLITE3, 9, CompressionMode.MESSAGE)
-    for layout in POINTS:
+    for layout in LAYOUTS:
         add(f"state_{layout}", write_controller_state, layout, StoragePlugin.MCAP)
         add(f"state_{layout}_sqlite", write_controller_state, layout, StoragePlugin.SQLITE3)
     add("lerobot_3", write_lerobot, "v3.0")
