@@ -62,8 +62,10 @@ class Arm:
     """
 
     driver = "a driver"  # program, for people
-    robot = "an arm"
+    robot = "an arm"  # which one: a driver that is started again must say the same
     axes = ()  # names
+    # By name, where it is known: "radians", "degrees", "metres", or the two ends of a range, (0, 100).
+    units = {}
     stop_is_more = False  # stop() does more than hold()
     holds = True  # the arm keeps its place when no target comes
     can_power_off = False
@@ -75,6 +77,12 @@ class Arm:
     last_reading = None  # of numbers, as read gives it
     last_target = None  # since enable, while the arm has power
     grip = None  # (axis, target, effort) of the gripper, while the arm has power
+
+    def open(self):
+        """Connects to the arm, once its socket is this driver's. The arm does not move by it.
+
+        What is raised ends the driver; the arm is left as it is, with its power.
+        """
 
     def read(self):
         """(stamp [ns, monotonic], positions, velocities or None, efforts or None, faults)."""
@@ -165,6 +173,7 @@ class Session:
             "driver": arm.driver,
             "robot": arm.robot,
             "axes": [arm.axes[i] for i in self.order],
+            "units": {name: unit for name, unit in arm.units.items() if name in arm.axes},
             "clock": "monotonic",
             "stop": arm.stop_is_more,
             "hold": arm.holds,
@@ -426,6 +435,15 @@ class Session:
         finally:
             self.end()
 
+    def leave(self):
+        """The socket is nobody's any more."""
+        try:
+            self.listener.close()
+            if place(self.path) == self.place:  # not a newer driver's
+                os.unlink(self.path)
+        except OSError as error:
+            LOG.warning("%s is left: %s", self.path, error.strerror)
+
     def end(self):
         """The arm holds and is closed, whatever else fails."""
         try:
@@ -441,11 +459,7 @@ class Session:
                 self.obey(*self.owed)
         finally:
             try:
-                self.listener.close()
-                if place(self.path) == self.place:  # not a newer driver's
-                    os.unlink(self.path)
-            except OSError as error:
-                LOG.warning("%s is left: %s", self.path, error.strerror)
+                self.leave()
             finally:
                 self.arm.close()
 
@@ -514,5 +528,10 @@ def serve(arm, options):
     if options.on_silence == "torque_off" and not arm.can_power_off:
         raise SystemExit("--on-silence torque_off: this arm's power cannot be taken off; use hold")
     session = Session(arm, options.socket, options.state_hz, options.watchdog_s, options.on_silence)
+    try:  # now that nobody else has this arm
+        arm.open()
+    except BaseException:
+        session.leave()
+        raise
     print(f"{arm.driver}: {arm.robot} at {options.socket}", flush=True)
     session.run()

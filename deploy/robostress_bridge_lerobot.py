@@ -17,12 +17,16 @@ robot that the client does not name keeps its place when --keep names it.
 A LeRobot robot has no stop and no hold of its own: both send it where it stands, once, and its
 gripper where it was last told. The power is taken off where its bus has `disable_torque`. Some robots
 switch the power off and on when they connect, and off when they disconnect: support the arm when
-this program begins and ends.
+this program begins and ends. Where the bus has the registers, no motor gets power while its goal is
+not where it stands, joints whose torque is off are reported as without power, and a serial port that
+another driver has is not touched.
 """
 
 import argparse
+import fcntl
 import logging
 import os
+import stat
 import sys
 import time
 
@@ -31,6 +35,9 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import robostress_bridge as bridge
 
 POSITION, VELOCITY = ".pos", ".vel"
+UNITS = {"DEGREES": "degrees", "RADIANS": "radians", "RANGE_M100_100": (-100, 100), "RANGE_0_100": (0, 100)}
+POWER_S = 0.2  # so often motors are asked whether they have power
+RETRIES = 5  # of what must not be lost
 
 
 def make_robot(options, fields):
@@ -64,6 +71,24 @@ def make_robot(options, fields):
     return robots.make_robot_from_config(draccus.parse(config_class=line, args=fields).robot)
 
 
+def claim_port(robot):
+    """A serial port that another driver has is refused before a byte goes out. Kept until the end."""
+    port = str(getattr(robot.config, "port", None) or "")
+    try:
+        is_device = stat.S_ISCHR(os.stat(port).st_mode)
+    except OSError:
+        return None
+    if not is_device:
+        return None
+    held = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(held)
+        raise SystemExit(f"{port}: another driver has this arm; end it first") from error
+    return held
+
+
 def calibrated(robot):
     """Asked of the motors, whose bus may lose an answer."""
     for _ in range(2):
@@ -75,12 +100,13 @@ def calibrated(robot):
 
 
 class LeRobotArm(bridge.Arm):
-    """A lerobot Robot, connected."""
+    """A lerobot Robot, which `open` connects."""
 
     driver = "robostress_bridge_lerobot"
 
     def __init__(self, robot, keep=(), velocities=False, simulated=False):
-        self.lerobot, self.simulated, self.robot = robot, simulated, robot.name
+        self.lerobot, self.simulated = robot, simulated
+        self.robot = " ".join(filter(None, [robot.name, getattr(robot, "id", None)]))
         actions = [name.removesuffix(POSITION) for name in robot.action_features if name.endswith(POSITION)]
         unknown = [name for name in keep if name not in actions]
         if unknown or not actions:
@@ -91,10 +117,16 @@ class LeRobotArm(bridge.Arm):
         missing = [n for n in self.axes if velocities and n + VELOCITY not in robot.observation_features]
         if missing:
             raise SystemExit(f"--velocities: {robot.name} measures none of {missing}")
-        bus = getattr(robot, "bus", None)
+        self.bus = bus = getattr(robot, "bus", None)
         self.can_power_off = hasattr(bus, "disable_torque") and hasattr(bus, "enable_torque")
-        self.on = True
-        off = getattr(robot.config, "disable_torque_on_disconnect", None)
+        self.on, self.ask_again, self.tells_power, self.port = True, 0.0, False, None
+        motors = getattr(bus, "motors", None) or {}
+        modes = {name: getattr(getattr(motors.get(name), "norm_mode", None), "name", "") for name in self.axes}
+        self.units = {name: UNITS[mode] for name, mode in modes.items() if mode in UNITS}
+        # Until `close`: a driver that fails, or is refused, must not let go of an arm that holds.
+        self.off_at_end = off = getattr(robot.config, "disable_torque_on_disconnect", None)
+        if off:
+            robot.config.disable_torque_on_disconnect = False
         notes = []
         if off:
             notes.append("when this driver ends the power goes off and the arm FALLS "
@@ -105,6 +137,44 @@ class LeRobotArm(bridge.Arm):
             notes.append("the robot's cameras are read with every state, which makes states late: "
                          "leave them out, robot_client has its own")
         self.note = "; ".join(notes)
+
+    def registers(self, name):
+        """What every motor has there, in the motor's own counts."""
+        return self.bus.sync_read(name, normalize=False, num_retry=RETRIES)
+
+    def guard_power(self):
+        """From now on no motor of the bus gets power while its goal is an old one."""
+        give_power = self.bus.enable_torque
+
+        def guarded(motors=None, *arguments, **options):
+            here = self.registers("Present_Position")
+            self.bus.sync_write("Goal_Position", here, normalize=False, num_retry=RETRIES)
+            return give_power(motors, *arguments, **options)
+
+        self.bus.enable_torque = guarded
+
+    def open(self):
+        robot, bus = self.lerobot, self.bus
+        self.port = claim_port(robot)
+        if all(hasattr(type(bus), name) for name in ("connect", "disconnect", "is_calibrated", "sync_read", "sync_write")):
+            bus.connect()  # alone: the robot's own connect gives power
+            try:
+                self.expect_calibrated()
+                self.registers("Torque_Enable")
+                self.tells_power = True
+            except KeyError as error:
+                logging.warning("%s: whether its motors have power is not known: no %s", robot.name, error)
+            finally:
+                bus.disconnect(disable_torque=False)
+            if self.tells_power:
+                self.guard_power()
+        robot.connect(calibrate=False)
+        self.expect_calibrated()
+
+    def expect_calibrated(self):
+        if not calibrated(self.lerobot):
+            raise SystemExit(f"{self.lerobot.name} is not calibrated: run lerobot-calibrate with the same --robot "
+                             "options first")
 
     def read(self):
         before = time.monotonic_ns()
@@ -121,19 +191,32 @@ class LeRobotArm(bridge.Arm):
 
     def enable(self):
         self.kept = dict.fromkeys(self.kept)
+        self.ask_again = 0.0
+        had_power = self.powered()
+        if not had_power:
+            self.grip = self.last_target = None  # limp fingers may have something between them
         self.hold()  # first, so that power finds no old target
-        if self.can_power_off:
-            self.lerobot.bus.enable_torque()
-        self.on = True
+        if self.can_power_off and not (had_power and self.tells_power):
+            self.bus.enable_torque()
+        self.on, self.ask_again = True, 0.0
 
     def power_off(self):
-        self.lerobot.bus.disable_torque()
+        self.bus.disable_torque()
         self.on = False
 
     def powered(self):
+        now = time.monotonic()
+        if self.tells_power and now >= self.ask_again:
+            self.ask_again = now + POWER_S
+            try:
+                self.on = all(self.registers("Torque_Enable").values())
+            except ConnectionError as error:  # read says so too, if it lasts
+                logging.debug("asked again: %s", error)
         return self.on
 
     def close(self):
+        if self.off_at_end:
+            self.lerobot.config.disable_torque_on_disconnect = True
         self.lerobot.disconnect()
 
 
@@ -151,14 +234,17 @@ def main(arguments=None):
     if wrong:
         parser.error(f"{wrong[0]}: LeRobot's options are written --robot.KEY=VALUE")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    robot = make_robot(options, fields)
-    arm = LeRobotArm(robot, options.keep, options.velocities, options.simulated)
-    robot.connect(calibrate=False)
-    if not calibrated(robot):
-        robot.disconnect()
-        raise SystemExit(f"{robot.name} is not calibrated: run lerobot-calibrate with the same --robot options first")
-    bridge.serve(arm, options)
+    bridge.serve(LeRobotArm(make_robot(options, fields), options.keep, options.velocities, options.simulated), options)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except BaseException as error:  # whatever ends it, a robot's destructor would take the power off
+        if isinstance(error, SystemExit) and isinstance(error.code, str):
+            print(error.code, file=sys.stderr)
+        elif not isinstance(error, SystemExit):
+            logging.exception("this driver ends; the arm is left as it is")
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else 1)

@@ -10,6 +10,11 @@ Commands are trajectory_msgs/JointTrajectory of one point (joint_trajectory_cont
 --forward, std_msgs/Float64MultiArray in the order of --joints, which must be that of the
 forward_command_controller's own list. Radians and metres, as ROS has them.
 
+A state is as old as its stamp says; one with the stamp before, or an older one, is none. Where the
+robot's clock is not this machine's, synchronise them, or say --other-clock: then states count from
+when they come. Nothing is sent while nobody listens to --command-topic, and that is an error: is the
+controller loaded? Whether it is active ROS does not say there.
+
 Both controllers keep their last target, and have no stop and no way to take the power off over a
 topic: holding sends the measured positions, and the gripper's last target. The power stays what the
 hardware makes of it. Efforts are passed on where --efforts says that they are newton metres.
@@ -29,7 +34,8 @@ import robostress_bridge as bridge
 import rclpy
 from sensor_msgs.msg import JointState
 
-MOST_AGE_S = 1.0  # of a header's stamp: older or of a time to come, it is another clock's
+OTHER_CLOCK_S = 3600.0  # first stamps that are further from now are another clock's: of a simulation
+LATE_S = 1.0  # older stamps of this clock are worth a word
 
 
 class RosArm(bridge.Arm):
@@ -44,6 +50,9 @@ class RosArm(bridge.Arm):
         self.measures_velocity, self.measures_effort = options.velocities, options.efforts
         self.reach_s = options.reach_s
         self.newest = None
+        self.last_stamp = 0
+        self.shares_clock = False if options.other_clock else None  # None: the first stamp decides
+        self.complained = -math.inf
         node.create_subscription(JointState, options.state_topic, self.on_state, 10)
         if options.forward:
             from std_msgs.msg import Float64MultiArray as Message
@@ -60,16 +69,41 @@ class RosArm(bridge.Arm):
         if any(name not in places for name in self.axes) or len(message.position) != len(message.name):
             return
         order = [places[name] for name in self.axes]
-        stamp = message.header.stamp
-        age = self.node.get_clock().now().nanoseconds - (stamp.sec * 10**9 + stamp.nanosec)
-        known = 0 <= age < MOST_AGE_S * 1e9
+        measured = self.measured_at(message.header.stamp, arrived)
+        if measured is None:
+            return
         self.newest = (
-            arrived - (age if known else 0),
+            measured,
             [message.position[i] for i in order],
             self.row(message.velocity, message.name, order, self.measures_velocity),
             self.row(message.effort, message.name, order, self.measures_effort),
             0,
         )
+
+    def measured_at(self, header_stamp, arrived):
+        """When a message was measured [ns, monotonic]. None: it is no newer than the one before."""
+        stamp = header_stamp.sec * 10**9 + header_stamp.nanosec
+        if stamp == 0:
+            return arrived
+        if stamp <= self.last_stamp:
+            self.complain("a JointState came again, or its stamp went back: left out")
+            return None
+        self.last_stamp = stamp
+        age = self.node.get_clock().now().nanoseconds - stamp
+        if self.shares_clock is None:
+            self.shares_clock = abs(age) < OTHER_CLOCK_S * 1e9
+        if not self.shares_clock:
+            return arrived
+        if not -LATE_S * 1e9 < age < LATE_S * 1e9:
+            self.complain(f"a JointState is {age / 1e9:.1f} s old by its stamp: is its clock right? synchronise it, "
+                          "or say --other-clock")
+        return arrived - age
+
+    def complain(self, text):
+        now = time.monotonic()
+        if now - self.complained >= 1:
+            self.complained = now
+            logging.warning("%s", text)
 
     @staticmethod
     def row(values, names, order, wanted):
@@ -105,6 +139,8 @@ class RosArm(bridge.Arm):
         return message
 
     def move(self, targets, gripper_effort):
+        if self.publisher.get_subscription_count() == 0:
+            raise RuntimeError(f"nobody listens to {self.robot}: is the controller loaded, and the topic its own?")
         self.publisher.publish(self.make(targets))
 
     def close(self):
@@ -121,6 +157,8 @@ def main(arguments=None):
     parser.add_argument("--forward", action="store_true", help="Float64MultiArray instead of JointTrajectory")
     parser.add_argument("--reach-s", type=float, default=0.05,
                         help="time in which a point is to be reached [s]; about a control period")
+    parser.add_argument("--other-clock", action="store_true",
+                        help="stamps are of a clock that is not this machine's: states count from when they come")
     parser.add_argument("--velocities", action="store_true", help="JointState has velocities")
     parser.add_argument("--efforts", action="store_true", help="JointState has efforts, in Nm")
     parser.add_argument("--simulated", action="store_true", help="nobody can be hurt by this arm")

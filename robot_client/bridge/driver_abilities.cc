@@ -1,5 +1,6 @@
 #include "robot_client/bridge/driver_abilities.h"
 
+#include <algorithm>
 #include <tuple>
 
 #include "absl/strings/str_cat.h"
@@ -20,6 +21,45 @@ std::string LeftOutNames(const std::vector<LeftOut>& links) {
   });
 }
 
+std::string UnitName(AxisUnit unit) {
+  switch (unit) {
+    case AxisUnit::kRadians:
+      return "radians";
+    case AxisUnit::kDegrees:
+      return "degrees";
+    case AxisUnit::kMetres:
+      return "metres";
+    case AxisUnit::kRange:
+      return "range";
+  }
+  return "?";
+}
+
+// What an axis's numbers are in the file and not for the driver; empty: they agree, or it does not
+// say. Two numbers of a range may be any of the driver's.
+std::string OtherUnit(const AxisOptions& axis, const SaidUnit& said) {
+  const bool is_range = axis.unit == AxisUnit::kRange;
+  if (said.range.empty() ? said.name.empty() || is_range || said.name == UnitName(axis.unit)
+                         : is_range &&
+                               *std::min_element(axis.driver_range.begin(),
+                                                 axis.driver_range.end()) >= said.range[0] &&
+                               *std::max_element(axis.driver_range.begin(),
+                                                 axis.driver_range.end()) <= said.range[1])
+    return "";
+  const std::string file =
+      is_range ? absl::StrCat("driver_range [", absl::StrJoin(axis.driver_range, ", "), "]")
+               : UnitName(axis.unit);
+  return said.range.empty()
+             ? absl::StrCat("the driver counts ", axis.name, " in ", said.name,
+                            ", the robot file in ", file, "; correct its unit")
+             : absl::StrCat(
+                   "the driver counts ", axis.name, " from ", said.range[0], " to ", said.range[1],
+                   ", the robot file in ", file, "; say unit: range, driver_range: [",
+                   said.range[0], ", ", said.range[1],
+                   "] and range: what those are, or let the driver count in ", UnitName(axis.unit),
+                   is_range ? "" : " (LeRobot: --robot.use_degrees=true)");
+}
+
 }  // namespace
 
 std::string Unfit(const BridgeRobot& robot, const Welcome& w) {
@@ -29,6 +69,10 @@ std::string Unfit(const BridgeRobot& robot, const Welcome& w) {
   if (w.axes != robot.names())
     return absl::StrCat("the driver drives [", absl::StrJoin(w.axes, ", "), "], the robot file [",
                         absl::StrJoin(robot.names(), ", "), "]; correct the names in the file");
+  for (size_t i = 0; i < w.units.size(); ++i) {
+    const AxisOptions& axis = i < robot.joints.size() ? robot.joints[i] : *robot.gripper;
+    if (std::string other = OtherUnit(axis, w.units[i]); !other.empty()) return other;
+  }
   if (const std::string missing = Missing(robot.driver, w); !missing.empty())
     return absl::StrCat("the driver cannot do what the robot file expects: ", missing,
                         "; take another driver, or, knowing what is lost, say so under driver: "
@@ -42,7 +86,7 @@ std::string Unfit(const BridgeRobot& robot, const Welcome& w) {
 std::string Differs(const Welcome& first, const Welcome& again) {
   const auto abilities = [](const Welcome& w) {
     return std::tuple(w.robot, w.stop, w.hold, w.torque_off, w.measures_velocity, w.measures_effort,
-                      w.monotonic, w.simulated, w.on_silence, w.watchdog_s);
+                      w.monotonic, w.simulated, w.on_silence, w.watchdog_s, w.units);
   };
   if (abilities(again) == abilities(first)) return "";
   return absl::StrCat(

@@ -274,6 +274,24 @@ absl::StatusOr<Welcome> ParseWelcome(const std::string& json) {
     if (!name.is_string()) return Wrong("axes holds something that is no name");
     welcome.axes.push_back(Printable(name.get<std::string>()));
   }
+  welcome.units.resize(welcome.axes.size());
+  const auto units = root.find("units");
+  if (units == root.end()) return welcome;
+  if (!units->is_object()) return Wrong("units is no JSON object");
+  for (size_t i = 0; i < axes->size(); ++i) {
+    const auto unit = units->find((*axes)[i].get<std::string>());
+    if (unit == units->end()) continue;
+    const std::string name = unit->is_string() ? unit->get<std::string>() : "";
+    if (name == "radians" || name == "degrees" || name == "metres") {
+      welcome.units[i].name = name;
+    } else if (unit->is_array() && unit->size() == 2 && (*unit)[0].is_number() &&
+               (*unit)[1].is_number() && (*unit)[0].get<double>() < (*unit)[1].get<double>()) {
+      welcome.units[i].range = {(*unit)[0].get<double>(), (*unit)[1].get<double>()};
+    } else {
+      return Wrong(absl::StrCat("units.", welcome.axes[i], " is ", Printable(unit->dump()),
+                                ", must be radians, degrees, metres or the two ends of a range"));
+    }
+  }
   return welcome;
 }
 

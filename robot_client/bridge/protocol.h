@@ -104,12 +104,23 @@ Decoded DecodeCommand(const uint8_t* payload, size_t size, int axes, CommandFram
 enum class OnSilence : uint8_t { kHold, kStop, kPowerOff, kNothing };
 const char* OnSilenceName(OnSilence on_silence);
 
+// What a driver says of an axis's numbers: "radians", "degrees", "metres"; or a range, of which
+// these are the ends; or nothing.
+struct SaidUnit {
+  std::string name;
+  std::vector<double> range;
+  bool operator==(const SaidUnit& other) const {
+    return name == other.name && range == other.range;
+  }
+};
+
 // What a driver says of itself; nothing is assumed that it does not say.
 struct Welcome {
   int protocol = 0;
   std::string driver;              // program and version
   std::string robot;               // as the driver calls it
   std::vector<std::string> axes;   // names, in the order of the wire
+  std::vector<SaidUnit> units;     // by place
   bool stop = false;               // it has a stop that is more than holding
   bool hold = false;               // the arm keeps its place when no target comes
   bool torque_off = false;         // it can take the power off

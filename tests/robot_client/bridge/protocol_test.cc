@@ -13,6 +13,7 @@
 namespace robostress::bridge {
 namespace {
 
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 StateFrame SomeState(int axes) {
@@ -197,6 +198,22 @@ TEST(BridgeProtocol, ReadsAWelcomeAndNamesWhatIsWrongInIt) {
   }
   for (const char* text : {"", "[]", "{", "null", "\"x\"", "{\"protocol\":1}"})
     EXPECT_FALSE(ParseWelcome(text).ok()) << text;
+}
+
+TEST(BridgeProtocol, ReadsInWhatADriverCounts) {
+  nlohmann::json welcome = SomeWelcome();
+  EXPECT_THAT(ParseWelcome(welcome.dump())->units, ElementsAre(SaidUnit(), SaidUnit()));
+  welcome["units"] = {{"b", "degrees"}, {"a", {-100, 100}}, {"c", "furlongs"}};
+  EXPECT_THAT(ParseWelcome(welcome.dump())->units,
+              ElementsAre(SaidUnit{"", {-100, 100}}, SaidUnit{"degrees", {}}));
+  for (const nlohmann::json& wrong : std::vector<nlohmann::json>{
+           "furlongs", 5, {1}, {1, 2, 3}, {1, 1}, {2, 1}, {"a", "b"}, nullptr}) {
+    welcome["units"] = {{"b", wrong}};
+    EXPECT_THAT(std::string(ParseWelcome(welcome.dump()).status().message()), HasSubstr("units.b"))
+        << wrong;
+  }
+  welcome["units"] = "degrees";
+  EXPECT_FALSE(ParseWelcome(welcome.dump()).ok());
 }
 
 TEST(BridgeProtocol, ShowsADriversWordsWithoutControlCharacters) {

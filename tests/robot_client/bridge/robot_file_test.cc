@@ -8,6 +8,7 @@
 #include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/robot_description.h"
+#include "robot_client/bridge/driver_abilities.h"
 #include "tests/robot_client/bridge/scripted_driver.h"
 
 namespace robostress::bridge {
@@ -195,6 +196,34 @@ TEST(BridgeRobotFile, WhatIsWatchedIsChosenForTheWorkspaceInForce) {
             chosen(file.workspace, file.home).watched.size());
   BridgeRobot without = *ParseBridgeRobot("arm.yaml", kFiveServos);
   EXPECT_TRUE(ChooseWatched({}, {}, without).ok()) << "no model";
+}
+
+TEST(BridgeRobotFile, RefusesADriverThatCountsInAnotherUnit) {
+  const BridgeRobot robot = *LoadBridgeRobot("robot_client/bridge/so101.yaml");
+  Welcome welcome;
+  welcome.protocol = kVersion;
+  welcome.axes = robot.names();
+  welcome.hold = welcome.simulated = true;
+  welcome.on_silence = OnSilence::kHold;
+  welcome.watchdog_s = 0.25;
+  welcome.units.resize(welcome.axes.size());
+  EXPECT_EQ(Unfit(robot, welcome), "") << "a driver need not say it";
+  for (size_t i = 0; i < robot.joints.size(); ++i) welcome.units[i].name = "degrees";
+  welcome.units.back().range = {0, 100};
+  EXPECT_EQ(Unfit(robot, welcome), "");
+  welcome.units[4] = {"", {-100, 100}};  // LeRobot's use_degrees=false
+  EXPECT_THAT(Unfit(robot, welcome),
+              AllOf(HasSubstr("counts wrist_roll from -100 to 100, the robot file in degrees"),
+                    HasSubstr("--robot.use_degrees=true")));
+  welcome.units[4] = {"radians", {}};
+  EXPECT_THAT(Unfit(robot, welcome), HasSubstr("wrist_roll in radians, the robot file in degrees"));
+  welcome.units[4] = {"degrees", {}};
+  welcome.units.back().range = {0, 1};
+  EXPECT_THAT(Unfit(robot, welcome),
+              HasSubstr("gripper from 0 to 1, the robot file in driver_range [0, 100]"));
+  Welcome again = welcome;
+  again.units[0].name = "radians";
+  EXPECT_THAT(Differs(welcome, again), HasSubstr("another driver answers"));
 }
 
 TEST(BridgeRobotFile, SaysWhatADriverLacks) {

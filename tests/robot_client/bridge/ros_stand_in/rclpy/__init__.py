@@ -28,6 +28,9 @@ class _Publisher:
     def __init__(self, node, message_class, topic):
         self.node, self.message_class, self.topic = node, message_class, topic
 
+    def get_subscription_count(self):
+        return 0 if os.path.exists(os.environ.get("STAND_IN_NOBODY_LISTENS", "")) else 1
+
     def publish(self, message):
         assert isinstance(message, self.message_class), message
         self.node.commanded(self.topic, message)
