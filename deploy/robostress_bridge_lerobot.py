@@ -2,7 +2,7 @@
 """Gives an arm of LeRobot to robot_client, from the environment that LeRobot runs in.
 
     python robostress_bridge_lerobot.py --socket /tmp/arm --robot.type=so101_follower \\
-      --robot.port=/dev/ttyACM0 --robot.id=my_arm
+      --robot.port=/dev/ttyACM0 --robot.id=my_arm --robot.use_degrees=true
     robot_client --arm bridge:unix:/tmp/arm --robot so101.yaml ...
 
 Any class of `lerobot.robots.Robot` will do, LeRobot's own and plug-ins, by --robot.type, or by

@@ -47,7 +47,7 @@ TEST(RecordingPeersTest, ReadsWhatOthersWroteToTheBit) {
   ASSERT_EQ(code, 0) << output;
   std::ifstream file(folder / "expected.json");
   const auto expected = nlohmann::json::parse(file);
-  EXPECT_EQ(expected.size(), 23);
+  EXPECT_EQ(expected.size(), 27);
   for (const auto& [name, rows] : expected.items()) {
     CollectedRows found;
     const absl::Status status = ReadRecording((folder / name).string(), {}, &found);

@@ -4,6 +4,7 @@ Leaves recordings and expected.json, which says of each what is in it: rows of [
 {"position NAME": value}]. large_bag.py writes a long one.
 """
 
+import glob
 import json
 import os
 import sqlite3
@@ -128,7 +129,7 @@ def write_controller_state(path, layout, plugin):
             rows.append([stamp, {"position a": float(q[0]), "position b": q[1], "velocity a": 0.5, "velocity b": -0.25,
                                  "command a": float(command[0]), "command b": command[1]}])
     if plugin is StoragePlugin.SQLITE3:  # recorders up to Humble write no definitions: the reader's own have to fit
-        for file in path.glob("*.db3"):
+        for file in glob.glob(os.path.join(path, "*.db3")):
             with closing(sqlite3.connect(file)) as data, data:
                 data.execute("DROP TABLE message_definitions")
     return rows
