@@ -92,12 +92,67 @@ absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const O
   }
   for (int body = 1; body < model.nbody; ++body)
     space->moves_[body] |= space->moves_[model.body_parentid[body]];
-  // Contacts begin at the clearance. Of two shapes the larger margin counts.
+  for (const char* name : kPayloadSites)
+    if (space->payload_site_ < 0) space->payload_site_ = mj_name2id(&model, mjOBJ_SITE, name);
+  space->FindCouplings();
+  space->TakeParameters(rig);
+  // Contacts begin at the clearance; of two shapes the larger margin counts. Whatever can touch
+  // something can touch everything: masks that keep an arm's parts from each other are for speed.
   for (int geom = 0; geom < model.ngeom; ++geom) {
     model.geom_margin[geom] = std::max(model.geom_margin[geom], options.clearance);
-    space->shapes_ += Collides(model, geom) && space->moves_[model.geom_bodyid[geom]];
+    if (!Collides(model, geom)) continue;
+    model.geom_contype[geom] = model.geom_conaffinity[geom] = 1;
+    space->shapes_ += space->moves_[model.geom_bodyid[geom]];
   }
   return space;
+}
+
+void ArmSpace::FindCouplings() {
+  const mjModel& m = *model_;
+  for (int k = 0; k < m.neq; ++k) {
+    if (m.eq_type[k] != mjEQ_JOINT || !m.eq_active[k]) continue;
+    const int follower = m.eq_obj1id[k], leader = m.eq_obj2id[k];
+    Coupling coupling;
+    coupling.q = m.jnt_qposadr[follower];
+    coupling.dof = m.jnt_dofadr[follower];
+    if (std::find(qpos_.begin(), qpos_.end(), coupling.q) != qpos_.end()) continue;
+    if (leader >= 0) {
+      coupling.leader_q = m.jnt_qposadr[leader];
+      coupling.leader_dof = m.jnt_dofadr[leader];
+      const bool led = moves_[m.jnt_bodyid[leader]] != 0;
+      moves_[m.jnt_bodyid[follower]] |= led;
+    }
+    std::copy_n(m.eq_data + mjNEQDATA * k, 5, coupling.polynomial);
+    couplings_.push_back(coupling);
+  }
+  for (int body = 1; body < m.nbody; ++body) moves_[body] |= moves_[m.body_parentid[body]];
+}
+
+double ArmSpace::Coupling::Value(double x) const {
+  double value = 0;
+  for (int i = 4; i >= 0; --i) value = value * x + polynomial[i];
+  return value;
+}
+double ArmSpace::Coupling::Slope(double x) const {
+  double slope = 0;
+  for (int i = 4; i >= 1; --i) slope = slope * x + i * polynomial[i];
+  return slope;
+}
+
+void ArmSpace::TakeParameters(const Rig& rig) {
+  for (size_t j = 0; j < rig.joints.size(); ++j) {
+    mass_scale_.push_back(1);
+    for (const auto& [name, value] : rig.joints[j].parameters) {
+      if (name == "armature") model_->dof_armature[dof_[j]] = value;
+      if (name == "damping") model_->dof_damping[dof_[j]] = value;
+      if (name == "frictionloss") model_->dof_frictionloss[dof_[j]] = value;
+      if (name == "mass_scale") mass_scale_[j] = value;
+    }
+  }
+}
+
+const char* ArmSpace::TorqueUnit(size_t joint) const {
+  return model_->jnt_type[model_->dof_jntid[dof_[joint]]] == mjJNT_SLIDE ? "N" : "Nm";
 }
 
 // Turned by upright hinges alone: whatever the arm does, it stays as high as it is.
@@ -133,8 +188,16 @@ ArmSpace::~ArmSpace() {
   if (data_ != nullptr) mj_deleteData(data_);
 }
 
-void ArmSpace::SetPosture(const std::vector<double>& posture) {
+void ArmSpace::Place(const std::vector<double>& posture) {
   for (size_t i = 0; i < qpos_.size(); ++i) data_->qpos[qpos_[i]] = posture[i];
+  for (const Coupling& c : couplings_) {
+    const double x = c.leader_q < 0 ? 0 : data_->qpos[c.leader_q] - model_->qpos0[c.leader_q];
+    data_->qpos[c.q] = model_->qpos0[c.q] + (c.leader_q < 0 ? c.polynomial[0] : c.Value(x));
+  }
+}
+
+void ArmSpace::SetPosture(const std::vector<double>& posture) {
+  Place(posture);
   mj_kinematics(model_.get(), data_);
   mj_comPos(model_.get(), data_);
 }
@@ -178,47 +241,74 @@ std::string ArmSpace::MetAt(const std::vector<double>& posture) {
 std::vector<double> ArmSpace::TorquesAt(const std::vector<double>& posture,
                                         const std::vector<double>& velocity,
                                         const std::vector<double>& acceleration) {
-  for (size_t i = 0; i < qpos_.size(); ++i) {
-    data_->qpos[qpos_[i]] = posture[i];
+  const mjModel& m = *model_;
+  Place(posture);
+  for (size_t i = 0; i < dof_.size(); ++i) {
     data_->qvel[dof_[i]] = velocity[i];
     data_->qacc[dof_[i]] = acceleration[i];
   }
-  const int flags = model_->opt.disableflags;
-  model_->opt.disableflags |= mjDSBL_CONTACT;
-  mj_inverse(model_.get(), data_);
+  std::vector<double> slopes;
+  for (const Coupling& c : couplings_) {
+    slopes.push_back(c.leader_q < 0 ? 0 : c.Slope(data_->qpos[c.leader_q] - m.qpos0[c.leader_q]));
+    if (c.leader_q < 0) continue;
+    data_->qvel[c.dof] = slopes.back() * data_->qvel[c.leader_dof];
+    data_->qacc[c.dof] = slopes.back() * data_->qacc[c.leader_dof];
+  }
+  const int flags = m.opt.disableflags;
+  model_->opt.disableflags |= mjDSBL_CONTACT | mjDSBL_EQUALITY | mjDSBL_LIMIT;
+  mj_inverse(&m, data_);
   model_->opt.disableflags = flags;
+  std::vector<double> all(data_->qfrc_inverse, data_->qfrc_inverse + m.nv), rigid(m.nv, 0);
+  if (std::any_of(mass_scale_.begin(), mass_scale_.end(), [](double s) { return s != 1; })) {
+    mj_rne(&m, data_, 1, rigid.data());
+    for (size_t j = 0; j < dof_.size(); ++j) all[dof_[j]] += (mass_scale_[j] - 1) * rigid[dof_[j]];
+  }
+  if (load_ > 0 && payload_site_ >= 0) {
+    std::vector<double> jacobian(3 * m.nv);
+    mjtNum acceleration_of_site[6];  // turning, then along; of what gravity is not
+    mj_rnePostConstraint(&m, data_);
+    mj_objectAcceleration(&m, data_, mjOBJ_SITE, payload_site_, acceleration_of_site, 0);
+    mj_jacSite(&m, data_, jacobian.data(), nullptr, payload_site_);
+    for (int dof = 0; dof < m.nv; ++dof)
+      for (int axis = 0; axis < 3; ++axis)
+        all[dof] += load_ * jacobian[axis * m.nv + dof] * acceleration_of_site[3 + axis];
+  }
+  for (size_t k = 0; k < couplings_.size(); ++k)
+    if (couplings_[k].leader_dof >= 0)
+      all[couplings_[k].leader_dof] += slopes[k] * all[couplings_[k].dof];
   std::vector<double> torques;
-  for (const int dof : dof_) torques.push_back(data_->qfrc_inverse[dof]);
+  for (const int dof : dof_) torques.push_back(all[dof]);
   mju_zero(data_->qvel, model_->nv);
   mju_zero(data_->qacc, model_->nv);
   return torques;
 }
 
 double ArmSpace::LoadOf(double share, double torque_share, const std::vector<double>& limits,
-                        const std::vector<double>& posture) {
-  int site = -1;
-  for (const char* name : kPayloadSites)
-    if (site < 0) site = mj_name2id(model_.get(), mjOBJ_SITE, name);
-  if (site < 0) return 0;
-  const std::vector<double> still(qpos_.size(), 0), torques = TorquesAt(posture, still, still);
-  SetPosture(posture);
+                        const std::vector<std::vector<double>>& postures) {
+  if (payload_site_ < 0) return 0;
   std::vector<double> jacobian(3 * model_->nv), inertia(model_->nv * model_->nv);
-  mj_jacSite(model_.get(), data_, jacobian.data(), nullptr, site);
-  mj_crb(model_.get(), data_);
-  mj_fullM(model_.get(), inertia.data(), data_->qM);
-  double least = std::numeric_limits<double>::infinity(), most = least;
-  for (size_t j = 0; j < dof_.size(); ++j) {
-    const int dof = dof_[j];
-    double arm2 = 0;  // [m^2]
-    for (int axis = 0; axis < 3; ++axis) arm2 += std::pow(jacobian[axis * model_->nv + dof], 2);
-    if (arm2 < 1e-8) continue;
-    least = std::min(least, share * inertia[dof * model_->nv + dof] / arm2);
-    const double limit = limits[j];
-    const double left = torque_share * limit - std::abs(torques[j]);
-    if (std::isfinite(limit)) most = std::min(most, std::max(0.0, left) / (kG * std::sqrt(arm2)));
+  double most = std::numeric_limits<double>::infinity();
+  for (size_t i = 0; i < postures.size(); ++i) {
+    const std::vector<double> still(qpos_.size(), 0),
+        torques = TorquesAt(postures[i], still, still);
+    SetPosture(postures[i]);
+    mj_jacSite(model_.get(), data_, jacobian.data(), nullptr, payload_site_);
+    if (i == 0) {
+      mj_crb(model_.get(), data_);
+      mj_fullM(model_.get(), inertia.data(), data_->qM);
+    }
+    for (size_t j = 0; j < dof_.size(); ++j) {
+      const int dof = dof_[j];
+      double arm2 = 0;  // [m^2]
+      for (int axis = 0; axis < 3; ++axis) arm2 += std::pow(jacobian[axis * model_->nv + dof], 2);
+      if (arm2 < 1e-8) continue;
+      if (i == 0) most = std::min(most, share * inertia[dof * model_->nv + dof] / arm2);
+      const double left = torque_share * limits[j] - std::abs(torques[j]);
+      if (std::isfinite(limits[j]))
+        most = std::min(most, std::max(0.0, left) / (kG * std::sqrt(arm2)));
+    }
   }
-  const double mass = std::min(least, most);
-  return std::isfinite(mass) && mass > kLightest ? std::stod(absl::StrFormat("%.1g", 0.95 * mass))
+  return std::isfinite(most) && most > kLightest ? std::stod(absl::StrFormat("%.1g", 0.95 * most))
                                                  : 0;
 }
 

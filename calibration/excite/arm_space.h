@@ -45,22 +45,30 @@ class ArmSpace {
   // What is nearer than the clearance in a posture ("link3 and link6", "hand and the floor");
   // empty: nothing.
   std::string MetAt(const std::vector<double>& posture);
-  // Torques [Nm] that the motion asks of the joints' motors, friction of the model included.
+  // Torques [Nm, or N of a slide] that the motion asks of the joints' motors: friction of the
+  // model, what the rig's `parameters` say instead, coupled fingers and the load included.
   std::vector<double> TorquesAt(const std::vector<double>& posture,
                                 const std::vector<double>& velocity,
                                 const std::vector<double>& acceleration);
+  // [kg] that the motors bear at the payload's place from now on.
+  void SetLoad(double mass) { load_ = mass; }
+  // "Nm", of a slide "N".
+  const char* TorqueUnit(size_t joint) const;
   // [kg] at the tip that adds `share` of a joint's inertia where it adds most of it, one digit;
   // less where a motor would be asked for more than `torque_share` of its limit [Nm], if finite, to
-  // hold it. 0: the model has no site payload, tip, tool or end_effector, or no motor may hold
-  // more.
+  // hold it in one of the postures; inertia is that of the first. 0: the model has no site payload,
+  // tip, tool or end_effector, or no motor may hold more.
   double LoadOf(double share, double torque_share, const std::vector<double>& limits,
-                const std::vector<double>& posture);
+                const std::vector<std::vector<double>>& postures);
   // Pictures of a motion, q[joint][row], one every `every` rows.
   absl::Status Film(const std::vector<std::vector<double>>& q, int every, double frame_s,
                     const std::string& file);
 
  private:
   ArmSpace() = default;
+  void FindCouplings();
+  void TakeParameters(const Rig& rig);
+  void Place(const std::vector<double>& posture);
   void SetPosture(const std::vector<double>& posture);
   std::vector<std::pair<int, int>> NearPairs();
   bool KeepsItsHeight(int body) const;
@@ -68,7 +76,19 @@ class ArmSpace {
   std::shared_ptr<mjModel> model_;
   mjData* data_ = nullptr;
   Options options_;
+  // A joint that the rig does not list, held to another by the model: q - q0 is a polynomial of the
+  // other's, or a constant.
+  struct Coupling {
+    int q = 0, dof = 0, leader_q = -1, leader_dof = -1;
+    double polynomial[5] = {};
+    double Value(double x) const;
+    double Slope(double x) const;
+  };
   std::vector<int> qpos_, dof_;  // of the rig's joints
+  std::vector<Coupling> couplings_;
+  std::vector<double> mass_scale_;  // of the rig's joints
+  int payload_site_ = -1;
+  double load_ = 0;
   std::vector<std::optional<Stops>> stops_;
   std::vector<double> home_;
   std::vector<char> moves_;                      // bodies that the rig's joints move

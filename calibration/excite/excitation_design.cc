@@ -15,6 +15,7 @@
 namespace robostress::calibration {
 namespace {
 
+constexpr int kEnds = 64;             // postures in which a load must be held
 constexpr double kStopMargin = 0.05;  // of a joint's way, kept from its stops
 constexpr double kLeastSwing = 0.02;  // [rad, m]
 constexpr double kFinest = 250;       // [Hz] of rows that sensitivities are measured at
@@ -154,10 +155,23 @@ class Designer {
     }
     return overrides;
   }
+  // The centre, and ends of the joints' ways.
+  std::vector<std::vector<double>> SomePostures() const {
+    std::vector<std::vector<double>> postures = {centre_};
+    RandomStream random(StreamKey("postures of a load"));
+    for (int k = 0; k < kEnds; ++k) {
+      std::vector<double> posture;
+      for (const ExcitationDesign::Joint& joint : design_.joints)
+        posture.push_back(random.UniformInt(2) == 0 ? joint.room.lower : joint.room.upper);
+      postures.push_back(std::move(posture));
+    }
+    return postures;
+  }
   std::vector<Change> Changes() const {
     std::vector<Change> changes = {{}};
     if (options_.asked.empty()) return changes;
-    const double mass = space_->LoadOf(kLoadShare, options_.torque_share, torque_limits_, centre_);
+    const double mass =
+        space_->LoadOf(kLoadShare, options_.torque_share, torque_limits_, SomePostures());
     if (mass > 0)
       changes.push_back(
           {.words = absl::StrFormat("with a known %.3g kg at the tip", mass), .mass = mass});
@@ -222,6 +236,7 @@ class Designer {
     design_.change = changes[best].words;
     design_.gain = changes[best].gain, design_.mass = changes[best].mass;
     design_.overrides = OverridesOf(changes[best]);
+    space_->SetLoad(design_.mass);
     // Two joints do not move alike.
     for (size_t j = 0; j < chosen_.size(); ++j) {
       RandomStream random(StreamKey("order of pieces")
@@ -351,8 +366,8 @@ class Designer {
         const std::vector<double> still(n, 0);
         by_holding =
             std::abs(space_->TorquesAt(now, still, still)[j]) > options_.torque_share * limit;
-        loaded = absl::StrFormat("joint '%s' is asked for %.3g of %.3g Nm", rig_.joints[j].name,
-                                 std::abs(torques[j]), limit);
+        loaded = absl::StrFormat("joint '%s' is asked for %.3g of %.3g %s", rig_.joints[j].name,
+                                 std::abs(torques[j]), limit, space_->TorqueUnit(j));
       }
     }
     if (design_.torque_used <= options_.torque_share) return true;
@@ -360,7 +375,10 @@ class Designer {
       return absl::FailedPreconditionError(absl::StrFormat(
           "%s%s; the motion may ask for %.3g of it: give another --centre, a smaller --swing, or "
           "correct the model's masses, its effort or servo.torque_limit",
-          loaded, by_holding ? " to hold still" : "", options_.torque_share));
+          loaded,
+          absl::StrCat(by_holding ? " to hold still" : "",
+                       design_.mass > 0 ? " " + design_.change : ""),
+          options_.torque_share));
     for (ExcitationDesign::Joint& joint : design_.joints) {
       joint.room.acceleration *= kShrink;
       joint.room.velocity *= kShrink;

@@ -35,25 +35,28 @@ const std::map<std::string, Names> kAttributes = {
       "fullinertia"}},
     {"joint",
      {"name", "class", "type", "pos", "axis", "limited", "range", "ref", "springref", "stiffness",
-      "damping", "armature", "frictionloss"}},
+      "springdamper", "damping", "armature", "frictionloss"}},
     {"freejoint", {"name"}},
     {"keyframe", {}},
     {"key", {"name", "qpos"}},
-    {"site", {"name", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}}};
+    {"site",
+     {"name", "class", "type", "size", "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis",
+      "euler"}}};
 const std::map<std::string, Names> kChildren = {
     {"mujoco", {"compiler", "option", "default", "worldbody", "keyframe"}},
     {"keyframe", {"key"}},
-    {"default", {"default", "joint"}},
+    {"default", {"default", "joint", "site"}},
     {"worldbody", {"body", "site"}},
     {"body", {"body", "inertial", "joint", "freejoint", "site"}}};
 // What is kept besides with shapes.
 const std::map<std::string, Names> kShapeAttributes = {
     {"equality", {}},
     {"joint", {"joint1", "joint2", "polycoef", "active"}},
-    {"compiler", {"inertiafromgeom", "inertiagrouprange", "strippath", "fitaabb"}},
+    {"compiler",
+     {"inertiafromgeom", "inertiagrouprange", "exactmeshinertia", "strippath", "fitaabb"}},
     {"geom",
-     {"class", "type", "contype", "conaffinity", "group", "size", "mass", "density", "fromto",
-      "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mesh", "fitscale"}},
+     {"class", "type", "contype", "conaffinity", "group", "size", "mass", "density", "shellinertia",
+      "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mesh", "fitscale"}},
     {"mesh", {"name", "class", "file", "vertex", "face", "refpos", "refquat", "scale"}}};
 const std::map<std::string, Names> kShapeChildren = {
     {"mujoco", {"asset", "equality"}}, {"equality", {"joint"}}, {"asset", {"mesh"}},

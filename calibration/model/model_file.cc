@@ -160,17 +160,20 @@ absl::StatusOr<LoadedModel> LoadMjcf(const XmlFile& file) {
   if (loaded.model == nullptr) {
     std::string without_shapes;  // why
     absl::StatusOr<CompiledModel> compiled = absl::UnknownError("");
+    std::vector<std::string> refusals;
     for (const MjcfShapes shapes : {MjcfShapes::kKept, MjcfShapes::kLeftOut}) {
       auto reduced = ReduceMjcf(file, shapes);
       compiled = reduced.ok() ? CompileModel(file.name(), reduced->xml) : reduced.status();
       if (reduced.ok()) left_out = std::move(reduced->facts);
       if (compiled.ok()) break;
       without_shapes = OneLine(std::string(compiled.status().message()));
+      refusals.push_back(without_shapes);
     }
     if (!compiled.ok())
       return absl::InvalidArgumentError(absl::StrCat(
-          file.name(), ": does not load: ", refusal,
-          "\nand not without its shapes and actuators: ", compiled.status().message()));
+          file.name(), ": does not load: ", refusal, "\nnor without its actuators: ", refusals[0],
+          refusals[1] == refusals[0] ? ""
+                                     : absl::StrCat("\nnor without its shapes: ", refusals[1])));
     if (!without_shapes.empty())
       left_out.push_back({"model", "shapes", "all", FactSource::kLeftOut, without_shapes});
     loaded.model = *std::move(compiled);

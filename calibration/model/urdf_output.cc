@@ -55,9 +55,8 @@ class UrdfWriter {
 
   absl::StatusOr<UrdfOutput> Write() {
     RS_RETURN_IF_ERROR(CheckNumbers());
-    links_.emplace_back().name = Named(mjOBJ_BODY, 0);
-    names_.insert(links_[0].name);
-    for (int body = 1; body < model_.nbody; ++body) names_.insert(Named(mjOBJ_BODY, body));
+    NameAll();
+    links_.emplace_back().name = body_names_[0];
     for (int body = 0; body < model_.nbody; ++body) AddBody(body);
     if (out_.joints.empty())
       return absl::InvalidArgumentError(
@@ -144,8 +143,30 @@ class UrdfWriter {
   // Of a joint that does not move.
   std::string FixedName(const std::string& link) {
     std::string name = absl::StrCat(link, "_fixed");
-    while (mj_name2id(&model_, mjOBJ_JOINT, name.c_str()) >= 0) name += "_";
+    while (!joint_names_in_use_.insert(name).second) name += "_";
     return name;
+  }
+  // A name that the file gives stays its own, whatever the nameless are called.
+  std::vector<std::string> NamesOf(mjtObj kind, int count, std::set<std::string>* taken) const {
+    std::vector<std::string> names(static_cast<size_t>(count));
+    for (int id = 0; id < count; ++id) {
+      const char* name = mj_id2name(&model_, kind, id);
+      if (name != nullptr && *name != '\0' && taken->insert(name).second)
+        names[static_cast<size_t>(id)] = name;
+    }
+    for (int id = 0; id < count; ++id) {
+      std::string& name = names[static_cast<size_t>(id)];
+      if (!name.empty()) continue;
+      name = Named(kind, id);
+      while (!taken->insert(name).second) name += kind == mjOBJ_SITE ? "_link" : "_";
+    }
+    return names;
+  }
+  // Bodies and sites are links, whose names differ.
+  void NameAll() {
+    body_names_ = NamesOf(mjOBJ_BODY, model_.nbody, &names_);
+    site_names_ = NamesOf(mjOBJ_SITE, model_.nsite, &names_);
+    joint_names_ = NamesOf(mjOBJ_JOINT, model_.njnt, &joint_names_in_use_);
   }
 
   // A link on another, and the joint between them.
@@ -166,7 +187,7 @@ class UrdfWriter {
     Place& place = place_[static_cast<size_t>(body)];
     if (body == 0) return;
     const Place& parent = place_[static_cast<size_t>(model_.body_parentid[body])];
-    const std::string name = Named(mjOBJ_BODY, body);
+    const std::string name = body_names_[static_cast<size_t>(body)];
     const int first = model_.body_jntadr[body], count = model_.body_jntnum[body];
     const bool is_free = count == 1 && model_.jnt_type[first] == mjJNT_FREE;
     place.loose = parent.loose || is_free || model_.body_mocapid[body] >= 0;
@@ -188,10 +209,11 @@ class UrdfWriter {
                Isometry3d::Identity(), false};
     }
     for (const int id : moving)
-      AddJoint(
-          id,
-          id == moving.back() ? name : NewLinkName(absl::StrCat(name, "_", Named(mjOBJ_JOINT, id))),
-          place);
+      AddJoint(id,
+               id == moving.back()
+                   ? name
+                   : NewLinkName(absl::StrCat(name, "_", joint_names_[static_cast<size_t>(id)])),
+               place);
     AddInertia(body, place);
     out_.bodies.push_back(name);
   }
@@ -205,7 +227,7 @@ class UrdfWriter {
       origin.translate(-ref * axis);
     else
       origin.rotate(Eigen::AngleAxisd(-ref, axis));
-    place.link = AddLink(link, Named(mjOBJ_JOINT, id), place.link, origin);
+    place.link = AddLink(link, joint_names_[static_cast<size_t>(id)], place.link, origin);
     place.T_link_body = Isometry3d(Eigen::Translation3d(-anchor));
     Joint& joint = joints_.back();
     joint.type = slide ? "prismatic" : model_.jnt_limited[id] ? "revolute" : "continuous";
@@ -219,6 +241,7 @@ class UrdfWriter {
     joint_of_[id] = joints_.size() - 1;
     out_.joints.push_back(joint.name);
     armature_ |= model_.dof_armature[model_.jnt_dofadr[id]] > 0;
+    if (model_.jnt_stiffness[id] > 0) sprung_.push_back(joint.name);
   }
 
   void AddInertia(int body, const Place& place) {
@@ -280,6 +303,7 @@ class UrdfWriter {
         return;
     }
     shape.origin = PoseOf(T);
+    capsules_ += shape.kind == "capsule";
     links_[static_cast<size_t>(place.link)].shapes.push_back(std::move(shape));
   }
 
@@ -329,7 +353,7 @@ class UrdfWriter {
     for (int site = 0; site < model_.nsite; ++site) {
       const Place& place = place_[static_cast<size_t>(model_.site_bodyid[site])];
       if (place.loose) continue;
-      const std::string name = NewLinkName(Named(mjOBJ_SITE, site));
+      const std::string& name = site_names_[static_cast<size_t>(site)];
       AddLink(name, FixedName(name), place.link,
               place.T_link_body * PoseAt(model_.site_pos, model_.site_quat, site));
       out_.sites.push_back(name);
@@ -338,7 +362,11 @@ class UrdfWriter {
 
   void AddCouplings() {
     for (int k = 0; k < model_.neq; ++k) {
-      if (model_.eq_type[k] != mjEQ_JOINT || !model_.eq_active[k]) continue;
+      if (!model_.eq_active[k]) continue;
+      if (model_.eq_type[k] != mjEQ_JOINT) {
+        ++loops_;
+        continue;
+      }
       const int follower = model_.eq_obj1id[k], leader = model_.eq_obj2id[k];
       if (joint_of_.count(follower) == 0) continue;
       const mjtNum* c = model_.eq_data + mjNEQDATA * k;
@@ -384,6 +412,29 @@ class UrdfWriter {
     if (armature_)
       Add("model", "armature", "of joints", FactSource::kLeftOut,
           "what rotors ask for is not in the torques of the URDF");
+    if (!sprung_.empty())
+      Add("model", "stiffness", absl::StrCat("of ", absl::StrJoin(sprung_, ", ")),
+          FactSource::kLeftOut, "URDF has no springs");
+    if (loops_ > 0)
+      Add("model", "equality", absl::StrCat(loops_, " of connect, weld or tendon"),
+          FactSource::kLeftOut, "URDF is a tree: what they hold together is loose in it");
+    if (model_.ntendon > 0)
+      Add("model", "tendons", absl::StrCat(model_.ntendon), FactSource::kLeftOut,
+          "what they pull or couple moves by itself in the URDF");
+    std::vector<std::string> unlimited;
+    for (const Joint& joint : joints_)
+      if (joint.moves && joint.effort <= 0) unlimited.push_back(joint.name);
+    if (!unlimited.empty())
+      Add("model", "effort",
+          absl::StrFormat("%g of %s", urdf::kUnknownLimit, absl::StrJoin(unlimited, ", ")),
+          FactSource::kAssumed, "no actuator of the file that was read says one");
+    Add("model", "velocity", absl::StrFormat("%g rad/s or m/s", urdf::kUnknownLimit),
+        FactSource::kAssumed, "MJCF says none");
+    if (capsules_ > 0)
+      Add("model", "capsules", absl::StrCat(capsules_), FactSource::kRead,
+          "as <capsule>, which robot_client reads; URDF itself has none: MuJoCo refuses such a "
+          "file, "
+          "others leave them out");
     if (planes_ > 0)
       Add("model", "planes and height fields", absl::StrCat(planes_), FactSource::kLeftOut,
           "workspace.table_z of a robot file is a floor");
@@ -411,9 +462,10 @@ class UrdfWriter {
   std::vector<Joint> joints_;
   std::map<int, size_t> joint_of_;  // of the model's joints
   std::map<int, std::string> mesh_files_;
-  std::set<std::string> names_, stems_;
-  std::vector<std::string> loose_, held_;
-  int planes_ = 0, seen_ = 0;
+  std::vector<std::string> body_names_, joint_names_, site_names_;  // by id
+  std::set<std::string> names_, joint_names_in_use_, stems_;
+  std::vector<std::string> loose_, held_, sprung_;
+  int planes_ = 0, seen_ = 0, loops_ = 0, capsules_ = 0;
   bool armature_ = false;
   UrdfOutput out_;
 };

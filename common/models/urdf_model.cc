@@ -203,6 +203,7 @@ class UrdfReader {
     RS_ASSIGN_OR_RETURN(const XMLElement* limit, Only(e, "limit"));
     if (limit == nullptr) return absl::OkStatus();
     RS_ASSIGN_OR_RETURN(joint.effort, Positive(limit, "effort"));
+    if (joint.effort >= urdf::kUnknownLimit) joint.effort = 0;
     RS_ASSIGN_OR_RETURN(const std::vector<double> lower, file_.Numbers(*limit, "lower", {0}));
     RS_ASSIGN_OR_RETURN(const std::vector<double> upper, file_.Numbers(*limit, "upper", {0}));
     joint.lower = lower[0], joint.upper = upper[0];

@@ -86,8 +86,8 @@ void PrintJoint(const Joint& joint, const std::string& parent, const std::string
       out.Open("limit");
       out.Number("lower", joint.lower);
       out.Number("upper", joint.upper);
-      out.Number("effort", joint.effort);
-      out.Number("velocity", 0);
+      out.Number("effort", joint.effort > 0 ? joint.effort : kUnknownLimit);
+      out.Number("velocity", kUnknownLimit);
       out.Close();
     }
     if (!joint.mimic.empty()) {
@@ -110,6 +110,7 @@ std::string Print(const std::vector<Link>& links, const std::vector<Joint>& join
   out.Open("mujoco");
   out.Open("compiler");
   out.Text("fusestatic", "false");
+  out.Text("strippath", "false");
   out.Close();
   out.Close();
   for (const Link& link : links) PrintLink(link, out);

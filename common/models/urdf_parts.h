@@ -49,6 +49,10 @@ struct Joint {
   double multiplier = 1, offset = 0;  // of mimic, to be printed
 };
 
+// [Nm, N], [rad/s, m/s]: stands where nobody says a limit, and is read as none; 0 would forbid
+// every motion to others.
+inline constexpr double kUnknownLimit = 1e6;
+
 // URDF of the parts, with numbers that read back equal; joints that do not move are fixed. MuJoCo's
 // reader is told to keep links that are fixed to others.
 std::string Print(const std::vector<Link>& links, const std::vector<Joint>& joints);

@@ -263,6 +263,68 @@ TEST(ArmSpaceTest, FindsWhatMeetsAndWhatMotorsHold) {
   EXPECT_THAT(std::string((*low)->WatchFrom({0.5, 0.8}).message()), HasSubstr("--floor"));
 }
 
+TEST(ArmSpaceTest, MotorsBearWhatTheRigSaysAndTheLoad) {
+  Rig rig = TwoLinks();
+  const std::vector<double> q = {1.1, -0.6}, v = {0.7, -1.2}, a = {3, -4};
+  const auto plain = (*ArmSpace::Load(rig, {}))->TorquesAt(q, v, a);
+  rig.joints[0].parameters = {{"armature", 0.4}, {"frictionloss", 1.5}, {"damping", 0.9}};
+  const auto declared = (*ArmSpace::Load(rig, {}))->TorquesAt(q, v, a);
+  EXPECT_NEAR(declared[0] - plain[0], 0.4 * 3 + 1.5 + (0.9 - 0.5) * 0.7, 1e-6);
+  EXPECT_NEAR(declared[1], plain[1], 1e-9);
+  rig.joints[0].parameters = {{"mass_scale", 2}};
+  const auto heavy = (*ArmSpace::Load(rig, {}))->TorquesAt(q, v, a);
+  EXPECT_NEAR(heavy[0] - plain[0], plain[0] - 0.5 * 0.7, 1e-6);
+  // A ball at the tip, of the model or as the load.
+  std::string with_ball = kTwoLinks;
+  const std::string site = "<site name=\"tip\"";
+  with_ball.insert(with_ball.find(site),
+                   "<body name=\"ball\" pos=\"0 0 0.3\"><inertial pos=\"0 0 0\" mass=\"0.2\" "
+                   "diaginertia=\"1e-12 1e-12 1e-12\"/></body>");
+  const auto borne = (*ArmSpace::Load(TwoLinks(with_ball), {}))->TorquesAt(q, v, a);
+  const auto space = *ArmSpace::Load(TwoLinks(), {});
+  space->SetLoad(0.2);
+  const auto load = space->TorquesAt(q, v, a);
+  for (size_t j = 0; j < 2; ++j) EXPECT_NEAR(load[j], borne[j], 1e-6) << j;
+}
+
+// Masks that keep the parts of an arm from each other are for a simulator's speed.
+TEST(ArmSpaceTest, PartsMeetWhateverTheirMasks) {
+  std::string mjcf = kTwoLinks;
+  for (size_t at = 0; (at = mjcf.find("<geom ", at)) != std::string::npos; at += 6)
+    mjcf.insert(at + 6, "contype=\"1\" conaffinity=\"0\" ");
+  const auto space = ArmSpace::Load(TwoLinks(mjcf), {.clearance = 0.01});
+  ASSERT_TRUE((*space)->WatchFrom({0.5, 0.8}).ok());
+  EXPECT_EQ((*space)->MetAt({1.0, 2.93}), "base and fore");
+}
+
+// A finger that the rig does not list follows the one that it does, and is borne by its motor.
+TEST(ArmSpaceTest, ACoupledFingerMovesAndWeighsWithItsLeader) {
+  std::string mjcf = kTwoLinks;
+  mjcf.insert(
+      mjcf.find("<site name=\"tip\""),
+      "<body name=\"left\" pos=\"0 0.02 0.35\"><joint name=\"left\" type=\"slide\" axis=\"0 1 0\"/>"
+      "<geom type=\"box\" size=\"0.01 0.01 0.03\" mass=\"0.05\"/></body>"
+      "<body name=\"right\" pos=\"0 -0.02 0.35\"><joint name=\"right\" type=\"slide\" axis=\"0 -1 "
+      "0\"/>"
+      "<geom type=\"box\" size=\"0.01 0.01 0.03\" mass=\"0.07\"/></body>");
+  mjcf.replace(
+      mjcf.find("</mujoco>"), 9,
+      "<equality><joint joint1=\"right\" joint2=\"left\" polycoef=\"0.01 2 0 0 0\"/></equality>"
+      "</mujoco>");
+  Rig rig = TwoLinks(mjcf);
+  rig.joints.push_back(rig.joints[0]);
+  rig.joints.back().name = "left";
+  const auto space = ArmSpace::Load(rig, {.clearance = 0.002});
+  ASSERT_TRUE(space.ok()) << space.status();
+  const std::vector<double> q = {0.5, 0.8, 0.015}, still = {0, 0, 0};
+  EXPECT_NEAR((*space)->TorquesAt(q, still, still)[2], 0, 1e-9) << "it lies across gravity";
+  EXPECT_NEAR((*space)->TorquesAt(q, still, {0, 0, 3})[2], 3 * (0.05 + 2 * 2 * 0.07), 1e-9);
+  EXPECT_STREQ((*space)->TorqueUnit(2), "N");
+  ASSERT_TRUE((*space)->WatchFrom({0.5, 0.8, 0.02}).ok());
+  EXPECT_EQ((*space)->MetAt({0.5, 0.8, 0.02}), "");
+  EXPECT_EQ((*space)->MetAt({0.5, 0.8, -0.015}), "left and right") << "both closed in";
+}
+
 TEST(ArmSpaceTest, ATurntableOnTheFloorIsNoObstacle) {
   std::string mjcf = kTwoLinks;
   const std::string upper = R"(<body name="upper">)";
@@ -351,8 +413,8 @@ TEST(Excitation, AsksNoMoreThanTheModelsEffortWhereTheRigHasNoLimit) {
                                                        "checked")));
   const auto space = ArmSpace::Load(TwoLinks(), {});
   ASSERT_TRUE(space.ok()) << space.status();
-  EXPECT_GT((*space)->LoadOf(0.3, 0.8, {30, 30}, {0.5, 0.5}), 0);
-  EXPECT_EQ((*space)->LoadOf(0.3, 0.8, {0.05, 30}, {0.5, 0.5}), 0);
+  EXPECT_GT((*space)->LoadOf(0.3, 0.8, {30, 30}, {{0.5, 0.5}}), 0);
+  EXPECT_EQ((*space)->LoadOf(0.3, 0.8, {0.05, 30}, {{0.5, 0.5}}), 0);
 }
 
 TEST(Excitation, RefusesWhatNoMotionCanMend) {

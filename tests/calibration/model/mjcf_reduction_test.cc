@@ -93,6 +93,40 @@ TEST_F(MjcfReductionTest, ShapesAreKeptWhereTheirFilesAre) {
   EXPECT_EQ(model.nkey, 1);
 }
 
+// The same file, once as MuJoCo reads it and once with a word that makes it a newer one.
+TEST_F(MjcfReductionTest, WhatPlacesOrWeighsIsKept) {
+  const std::string text =
+      R"(<mujoco><compiler angle="radian" autolimits="true" exactmeshinertia="true"/>
+    <option/><default><default class="far"><site pos="0 0 0.3"/></default><default class="tip"><site pos="0.1 0.2 0" euler="0 0 1"/></default></default>
+    <asset><mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.1 0  0 0 0.15  0.05 0.02 0.02"
+      face="0 2 1  0 1 4  1 3 4  3 0 4  1 2 3  2 0 3"/></asset>
+    <worldbody><body name="a"><joint name="j" stiffness="3" springdamper="0.2 0.8"/>
+      <geom type="mesh" mesh="wedge"/><site name="plain" class="far"/><site name="tip" class="tip"/>
+      <body name="b"><joint name="k"/><geom type="mesh" mesh="wedge" mass="1" shellinertia="true"/>
+        <site name="along" type="capsule" size="0.01" fromto="0.1 0 0 0.2 0.1 0"/></body>
+    </body></worldbody></mujoco>)";
+  const auto plain = Load(text, {"j", "k"});
+  const auto newer =
+      Load(With("<option/>", "<option integrator=\"implicitfast\"/>", text), {"j", "k"});
+  ASSERT_TRUE(plain.ok() && newer.ok()) << plain.status() << newer.status();
+  const mjModel &a = *plain->model, &b = *newer->model;
+  ASSERT_EQ(a.nsite, b.nsite);
+  for (int i = 0; i < 3 * a.nsite; ++i) EXPECT_EQ(a.site_pos[i], b.site_pos[i]) << i;
+  for (int i = 0; i < 4 * a.nsite; ++i) EXPECT_EQ(a.site_quat[i], b.site_quat[i]) << i;
+  for (int i = 0; i < a.nbody; ++i) EXPECT_EQ(a.body_mass[i], b.body_mass[i]) << i;
+  for (int i = 0; i < 3 * a.nbody; ++i) EXPECT_EQ(a.body_inertia[i], b.body_inertia[i]) << i;
+  for (int i = 0; i < a.nv; ++i) EXPECT_EQ(a.dof_damping[i], b.dof_damping[i]) << i;
+  EXPECT_GT(a.dof_damping[0], 0);
+}
+
+TEST_F(MjcfReductionTest, AMissingMeshIsNamedWhereItsMassIsNeeded) {
+  const std::string inertial =
+      "<inertial pos=\"0 0 -0.2\" mass=\"2\" diaginertia=\"0.03 0.03 0.002\"/>";
+  EXPECT_THAT(Refusal(With(inertial, "", kNewer), {"elbow"}),
+              AllOf(HasSubstr("nor without its actuators: "), HasSubstr("upper.obj"),
+                    HasSubstr("nor without its shapes: ")));
+}
+
 TEST_F(MjcfReductionTest, MassesThatComeFromShapesAreRefused) {
   const std::string inertial =
       "<inertial pos=\"0 0 -0.2\" mass=\"2\" diaginertia=\"0.03 0.03 0.002\"/>";

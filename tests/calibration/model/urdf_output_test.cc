@@ -177,12 +177,65 @@ TEST_F(UrdfOutputTest, SaysWhatJointsCanAndWhatItLeavesOut) {
   EXPECT_EQ(mimic->DoubleAttribute("multiplier"), 0.5);
   EXPECT_NEAR(mimic->DoubleAttribute("offset"), 0.001, 1e-12);
   EXPECT_THAT(out_.sites, testing::ElementsAre("mark", "tilt"));
-  EXPECT_THAT(ModelTableText(out_.facts, ""),
-              AllOf(HasSubstr("planes and height fields 1 (left out)"),
-                    HasSubstr("bodies that stand on nothing cup, goal (left out)"),
-                    HasSubstr("joints held at 0 loosely"),
-                    HasSubstr("shapes that touch nothing 1 (left out)")));
+  EXPECT_THAT(
+      ModelTableText(out_.facts, ""),
+      AllOf(HasSubstr("planes and height fields 1 (left out)"),
+            HasSubstr("bodies that stand on nothing cup, goal (left out)"),
+            HasSubstr("joints held at 0 loosely"),
+            HasSubstr("shapes that touch nothing 1 (left out)"),
+            HasSubstr("effort 1e+06 of lift, tilt, elbow, left_finger, right_finger (assumed)"),
+            HasSubstr("capsules 3"), Not(HasSubstr("tendons")), Not(HasSubstr("stiffness"))));
   EXPECT_THAT(out_.xml, AllOf(Not(HasSubstr("cup")), Not(HasSubstr("lid"))));
+}
+
+TEST_F(UrdfOutputTest, TellsWhatIsNoTree) {
+  Compile(R"(<mujoco><worldbody>
+    <body name="a"><joint name="j" stiffness="50"/><geom size="0.1"/><site name="s"/>
+      <body name="b" pos="0.3 0 0"><joint name="k"/><geom size="0.1"/><site name="t"/></body></body>
+    <body name="c" pos="0.6 0 0"><joint name="l"/><geom size="0.1"/></body></worldbody>
+    <tendon><spatial name="rope" stiffness="20"><site site="s"/><site site="t"/></spatial></tendon>
+    <equality><connect body1="b" body2="c" anchor="0.3 0 0"/></equality></mujoco>)");
+  EXPECT_THAT(ModelTableText(out_.facts, ""),
+              AllOf(HasSubstr("stiffness of j (left out)"), HasSubstr("tendons 1 (left out)"),
+                    HasSubstr("equality 1 of connect, weld or tendon (left out)")));
+}
+
+// Nameless parts get names that no other part has, and a name of the file stays its own.
+TEST_F(UrdfOutputTest, GivesEveryPartANameOfItsOwn) {
+  Compile(R"(<mujoco><worldbody>
+    <body name="joint_1x"><joint name="joint_1"/><geom size="0.1"/>
+      <body pos="0.3 0 0"><joint/><geom size="0.1"/><site name="body_2"/><site name="body_2_link" pos="0.1 0 0"/>
+        <body name="body_2" pos="0.3 0 0"><joint name="joint_3"/><geom size="0.1"/><site/></body></body></body>
+    </worldbody></mujoco>)");
+  std::set<std::string> joints(out_.joints.begin(), out_.joints.end());
+  EXPECT_EQ(joints.size(), 3u) << out_.xml;
+  std::set<std::string> links, all_joints;
+  for (const auto* e = file_->root().FirstChildElement(); e != nullptr;
+       e = e->NextSiblingElement()) {
+    const std::string name = AttributeOf(*e, "name"), kind = e->Name();
+    EXPECT_TRUE(kind != "link" || links.insert(name).second) << name;
+    EXPECT_TRUE(kind != "joint" || all_joints.insert(name).second) << name;
+  }
+  EXPECT_EQ(links.count("body_2"), 1u);
+  EXPECT_THAT(out_.sites, testing::Contains("body_2_link")) << "the file's own";
+  const int mark = mj_name2id(urdf_.get(), mjOBJ_BODY, "body_2_link");
+  ASSERT_GE(mark, 0);
+  EXPECT_NEAR(urdf_->body_pos[3 * mark], 0.1, 1e-12);
+}
+
+// What was written is read by MuJoCo itself, with its meshes beside it: of bodies of one joint
+// each, and without capsules, which it does not know.
+TEST_F(UrdfOutputTest, MujocoReadsItWithItsMeshes) {
+  Compile(R"(<mujoco><asset><mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.1 0  0 0 0.15"/></asset>
+    <worldbody><body name="a"><joint name="j"/><geom type="mesh" mesh="wedge"/>
+      <body name="b" pos="0 0 0.3"><joint name="k" type="slide"/><geom type="box" size="0.1 0.2 0.1"/></body></body>
+    </worldbody></mujoco>)");
+  const std::string path = folder + "/arm.urdf";
+  ASSERT_TRUE(WriteFileAtomically(path, out_.xml).ok());
+  char why[500] = "";
+  const CompiledModel model(mj_loadXML(path.c_str(), nullptr, why, sizeof why));
+  ASSERT_NE(model, nullptr) << why;
+  EXPECT_EQ(model->nmesh, 1);
 }
 
 // Points on the surface of a shape, in its frame, that the hulls must hold, and which way is out.
