@@ -31,7 +31,7 @@ constexpr char kExamples[] =
     "2 bad input.\n";
 
 struct CommandLine {
-  std::string recording, out, rig, model;
+  std::string recording, out, rig, model, command_times;
   std::vector<std::string> unit;
   RecordingOptions options;
 };
@@ -74,6 +74,15 @@ absl::Status DescribeModel(const RecordingPlan& plan) {
 
 absl::Status Inspect(CommandLine line) {
   RS_RETURN_IF_ERROR(TakeUnit(&line));
+  using Times = RecordingOptions::CommandTimes;
+  if (line.command_times == "stamps") {
+    line.options.command_times = Times::kStamps;
+  } else if (line.command_times == "recorder") {
+    line.options.command_times = Times::kRecorder;
+  } else if (!line.command_times.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--command-times: is '", line.command_times, "', must be stamps or recorder"));
+  }
   if (!line.model.empty() && !line.rig.empty())
     return absl::InvalidArgumentError("--model: --rig names a model already; say one of them");
   std::optional<Rig> declared;
@@ -136,6 +145,9 @@ int Main(int argc, char** argv) {
   inspect->add_option(
       "--commands", line.options.commands,
       "channel of the commands, where another was taken or it is far from the joints");
+  inspect->add_option("--command-times", line.command_times,
+                      "stamps or recorder: where commands stand whose stamps seem to be of another "
+                      "clock (default: chosen, and said)");
   inspect
       ->add_option("--unit", line.unit,
                    "of angles where the recording does not say it or is wrong: rad, deg, or a "

@@ -24,6 +24,7 @@ another driver has is not touched.
 
 import argparse
 import fcntl
+import inspect
 import logging
 import os
 import stat
@@ -89,6 +90,49 @@ def claim_port(robot):
     return held
 
 
+def parts_of(robot):
+    """[(what its actions' names begin with, a robot with a bus)]: itself, or the two arms of a pair."""
+    if getattr(robot, "bus", None) is not None:
+        return [("", robot)]
+    return [(name.removesuffix("arm"), part) for name, part in vars(robot).items()
+            if getattr(part, "bus", None) is not None and hasattr(part, "config")]
+
+
+class Motors:
+    """The registers of a bus, in the motors' own counts. `known`: it has them, and can be asked before it gives power."""
+
+    def __init__(self, bus):
+        self.bus = bus
+        has = all(hasattr(type(bus), n) for n in ("connect", "disconnect", "is_calibrated", "sync_read", "sync_write"))
+        self.known = has and "normalize" in inspect.signature(type(bus).sync_read).parameters
+        self.one_by_one = False
+
+    def read(self, name, retries=RETRIES):
+        if not self.one_by_one:
+            try:
+                return self.bus.sync_read(name, normalize=False, num_retry=retries)
+            except NotImplementedError:  # Feetech's protocol 1
+                self.one_by_one = True
+        return {motor: self.bus.read(name, motor, normalize=False, num_retry=retries) for motor in self.bus.motors}
+
+    def write(self, name, values):
+        if not self.one_by_one:
+            self.bus.sync_write(name, values, normalize=False, num_retry=RETRIES)
+            return
+        for motor, value in values.items():
+            self.bus.write(name, motor, value, normalize=False, num_retry=RETRIES)
+
+    def guard_power(self):
+        """From now on no motor gets power while its goal is an old one."""
+        give_power = self.bus.enable_torque
+
+        def guarded(motors=None, *arguments, **options):
+            self.write("Goal_Position", self.read("Present_Position"))
+            return give_power(motors, *arguments, **options)
+
+        self.bus.enable_torque = guarded
+
+
 def calibrated(robot):
     """Asked of the motors, whose bus may lose an answer."""
     for _ in range(2):
@@ -97,6 +141,11 @@ def calibrated(robot):
         except ConnectionError as error:
             logging.warning("asked again: %s", error)
     return robot.is_calibrated
+
+
+def expect_calibrated(robot):
+    if not calibrated(robot):
+        raise SystemExit(f"{robot.name} is not calibrated: run lerobot-calibrate with the same --robot options first")
 
 
 class LeRobotArm(bridge.Arm):
@@ -117,16 +166,25 @@ class LeRobotArm(bridge.Arm):
         missing = [n for n in self.axes if velocities and n + VELOCITY not in robot.observation_features]
         if missing:
             raise SystemExit(f"--velocities: {robot.name} measures none of {missing}")
-        self.bus = bus = getattr(robot, "bus", None)
-        self.can_power_off = hasattr(bus, "disable_torque") and hasattr(bus, "enable_torque")
-        self.on, self.ask_again, self.tells_power, self.port = True, 0.0, False, None
-        motors = getattr(bus, "motors", None) or {}
-        modes = {name: getattr(getattr(motors.get(name), "norm_mode", None), "name", "") for name in self.axes}
-        self.units = {name: UNITS[mode] for name, mode in modes.items() if mode in UNITS}
+        self.parts = parts_of(robot)
+        self.motors = [Motors(part.bus) for _, part in self.parts]
+        self.can_power_off = bool(self.parts) and all(
+            hasattr(m.bus, "disable_torque") and hasattr(m.bus, "enable_torque") for m in self.motors)
+        self.on, self.ask_again, self.tells_power, self.answered, self.ports = True, 0.0, False, True, []
+        self.units = {}
+        for prefix, part in self.parts:
+            for name, motor in (getattr(part.bus, "motors", None) or {}).items():
+                mode = getattr(getattr(motor, "norm_mode", None), "name", "")
+                if prefix + name in self.axes and mode in UNITS:
+                    self.units[prefix + name] = UNITS[mode]
         # Until `close`: a driver that fails, or is refused, must not let go of an arm that holds.
-        self.off_at_end = off = getattr(robot.config, "disable_torque_on_disconnect", None)
-        if off:
-            robot.config.disable_torque_on_disconnect = False
+        configs = [robot.config, *(part.config for _, part in self.parts)]
+        self.off_at_end = [c for c in configs if getattr(c, "disable_torque_on_disconnect", None)]
+        off = bool(self.off_at_end)
+        if not any(hasattr(c, "disable_torque_on_disconnect") for c in configs):
+            off = None
+        for config in self.off_at_end:
+            config.disable_torque_on_disconnect = False
         notes = []
         if off:
             notes.append("when this driver ends the power goes off and the arm FALLS "
@@ -138,47 +196,35 @@ class LeRobotArm(bridge.Arm):
                          "leave them out, robot_client has its own")
         self.note = "; ".join(notes)
 
-    def registers(self, name):
-        """What every motor has there, in the motor's own counts."""
-        return self.bus.sync_read(name, normalize=False, num_retry=RETRIES)
-
-    def guard_power(self):
-        """From now on no motor of the bus gets power while its goal is an old one."""
-        give_power = self.bus.enable_torque
-
-        def guarded(motors=None, *arguments, **options):
-            here = self.registers("Present_Position")
-            self.bus.sync_write("Goal_Position", here, normalize=False, num_retry=RETRIES)
-            return give_power(motors, *arguments, **options)
-
-        self.bus.enable_torque = guarded
-
     def open(self):
-        robot, bus = self.lerobot, self.bus
-        self.port = claim_port(robot)
-        if all(hasattr(type(bus), name) for name in ("connect", "disconnect", "is_calibrated", "sync_read", "sync_write")):
-            bus.connect()  # alone: the robot's own connect gives power
+        self.ports = [claim_port(part) for _, part in self.parts or [("", self.lerobot)]]
+        self.tells_power = bool(self.parts)
+        for (_, part), motors in zip(self.parts, self.motors):
+            if not motors.known:
+                self.tells_power = False
+                continue
+            part.bus.connect()  # alone: the robot's own connect gives power
             try:
-                self.expect_calibrated()
-                self.registers("Torque_Enable")
-                self.tells_power = True
+                expect_calibrated(part)
+                motors.read("Torque_Enable")
+                motors.guard_power()
             except KeyError as error:
-                logging.warning("%s: whether its motors have power is not known: no %s", robot.name, error)
+                logging.warning("%s: whether its motors have power is not known: no %s", part.name, error)
+                self.tells_power = False
             finally:
-                bus.disconnect(disable_torque=False)
-            if self.tells_power:
-                self.guard_power()
-        robot.connect(calibrate=False)
-        self.expect_calibrated()
-
-    def expect_calibrated(self):
-        if not calibrated(self.lerobot):
-            raise SystemExit(f"{self.lerobot.name} is not calibrated: run lerobot-calibrate with the same --robot "
-                             "options first")
+                part.bus.disconnect(disable_torque=False)
+        self.lerobot.connect(calibrate=False)
+        try:
+            expect_calibrated(self.lerobot)
+        except SystemExit:  # of a robot that could not be asked before: the power is of this connect
+            self.close()
+            raise
 
     def read(self):
         before = time.monotonic_ns()
+        self.answered = False
         seen = self.lerobot.get_observation()
+        self.answered = True
         self.kept = {n: seen[n + POSITION] if at is None else at for n, at in self.kept.items()}
         position = [float(seen[name + POSITION]) for name in self.axes]
         velocity = [float(seen[n + VELOCITY]) for n in self.axes] if self.measures_velocity else None
@@ -197,26 +243,29 @@ class LeRobotArm(bridge.Arm):
             self.grip = self.last_target = None  # limp fingers may have something between them
         self.hold()  # first, so that power finds no old target
         if self.can_power_off and not (had_power and self.tells_power):
-            self.bus.enable_torque()
+            for motors in self.motors:
+                motors.bus.enable_torque()
         self.on, self.ask_again = True, 0.0
 
     def power_off(self):
-        self.bus.disable_torque()
+        for motors in self.motors:
+            motors.bus.disable_torque()
         self.on = False
 
     def powered(self):
         now = time.monotonic()
-        if self.tells_power and now >= self.ask_again:
+        # Once, and not of a bus that has just been silent: every try holds up the loop.
+        if self.tells_power and self.answered and now >= self.ask_again:
             self.ask_again = now + POWER_S
             try:
-                self.on = all(self.registers("Torque_Enable").values())
+                self.on = all(all(motors.read("Torque_Enable", retries=0).values()) for motors in self.motors)
             except ConnectionError as error:  # read says so too, if it lasts
                 logging.debug("asked again: %s", error)
         return self.on
 
     def close(self):
-        if self.off_at_end:
-            self.lerobot.config.disable_torque_on_disconnect = True
+        for config in self.off_at_end:
+            config.disable_torque_on_disconnect = True
         self.lerobot.disconnect()
 
 

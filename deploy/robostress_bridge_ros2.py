@@ -35,7 +35,7 @@ import rclpy
 from sensor_msgs.msg import JointState
 
 OTHER_CLOCK_S = 3600.0  # first stamps that are further from now are another clock's: of a simulation
-LATE_S = 1.0  # older stamps of this clock are worth a word
+LATE_S, AHEAD_S = 1.0, 0.02  # older or newer stamps of this clock are worth a word
 
 
 class RosArm(bridge.Arm):
@@ -86,18 +86,19 @@ class RosArm(bridge.Arm):
         if stamp == 0:
             return arrived
         if stamp <= self.last_stamp:
-            self.complain("a JointState came again, or its stamp went back: left out")
+            self.complain("a JointState came again, or its stamp went back: left out; after a simulation's reset "
+                          "start this driver again")
             return None
-        self.last_stamp = stamp
         age = self.node.get_clock().now().nanoseconds - stamp
         if self.shares_clock is None:
             self.shares_clock = abs(age) < OTHER_CLOCK_S * 1e9
-        if not self.shares_clock:
-            return arrived
-        if not -LATE_S * 1e9 < age < LATE_S * 1e9:
-            self.complain(f"a JointState is {age / 1e9:.1f} s old by its stamp: is its clock right? synchronise it, "
+        if self.shares_clock and not -AHEAD_S * 1e9 < age < LATE_S * 1e9:
+            self.complain(f"a JointState is {age / 1e9:.2f} s old by its stamp: is its clock right? synchronise it, "
                           "or say --other-clock")
-        return arrived - age
+        if self.shares_clock and age < -LATE_S * 1e9:
+            return None  # and its stamp is not one that others have to be newer than
+        self.last_stamp = stamp
+        return arrived - max(age, 0) if self.shares_clock else arrived
 
     def complain(self, text):
         now = time.monotonic()

@@ -2,9 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <set>
-#include <tuple>
 #include <utility>
 
 #include "absl/strings/ascii.h"
@@ -12,8 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
-#include "common/recordings/joint_messages.h"
+#include "calibration/data/recording_commands.h"
 #include "common/recordings/table_rows.h"
 #include "common/status_macros.h"
 
@@ -24,10 +21,7 @@ constexpr double kPieces = 3;                               // a recording falls
 constexpr double kShortestPiece = 20, kLongestPiece = 300;  // [s]
 constexpr double kNice = 0.005;        // a rate this near to a whole number is that number
 constexpr double kWithCommands = 1.1;  // so many times a row counts beside its command
-constexpr double kClearly = 3;         // times nearer is the command of a joint than of the next
 constexpr double kSame = 1e-3;       // of a joint's span: so near is a command the position itself
-constexpr double kNear = 0.2;        // of a joint's span: so far off is a command at most, RMS
-constexpr int64_t kLeastRows = 50;   // of a log (measured_log.cc)
 constexpr double kNearlyAll = 0.98;  // of the rows
 
 // Whether a name can stand in the header of a CSV file and in a rig.
@@ -44,10 +38,6 @@ std::vector<size_t> MostSet(const ChannelStatistics& channel) {
       std::max_element(channel.position_sets.begin(), channel.position_sets.end(),
                        [](const auto& a, const auto& b) { return a.second.rows < b.second.rows; });
   return most == channel.position_sets.end() ? std::vector<size_t>() : most->first;
-}
-
-double RootMean(const std::pair<double, int64_t>& sum) {
-  return std::sqrt(sum.first / static_cast<double>(std::max<int64_t>(sum.second, 1)));
 }
 
 // Of every channel its rows of positions, a few more where commands stand in the same rows: they
@@ -140,123 +130,6 @@ double NiceRate(double rate) {
   return nice >= 1 && std::abs(rate / nice - 1) < kNice ? nice : rate;
 }
 
-// How far the nearest position of another joint is from a command.
-double NextNearest(const RecordingStatistics& statistics, const SignalStatistics& command,
-                   const std::string& joint) {
-  double next = std::numeric_limits<double>::infinity();
-  for (const auto& [position, sum] : command.off) {
-    if (statistics.signals()[position].description.joint != joint)
-      next = std::min(next, RootMean(sum));
-  }
-  return next;
-}
-
-// How many of the first parts of two topics' names are the same, without the last.
-int SharedNamespace(const std::string& a, const std::string& b) {
-  const std::vector<std::string> parts = absl::StrSplit(a, '/'), others = absl::StrSplit(b, '/');
-  int shared = 0;
-  for (size_t i = 0; i + 1 < std::min(parts.size(), others.size()); ++i) {
-    if (parts[i] != others[i]) break;
-    ++shared;
-  }
-  return shared;
-}
-
-// A command that has a joint's name.
-struct NamedCommand {
-  int signal = -1;
-  int64_t count = 0;
-  // Whether it stands in the position's rows, what its topic's name shares, how near it is.
-  std::tuple<bool, int, double> quality;
-};
-
-// The command with the joint's name: of the position's own rows, else of its namespace, else the
-// nearest, of those that are most. Or one without a name that stays near the joint, and clearly
-// nearer than to the next. A command with the name that is far from the joint is none, because it
-// may be a step of the position: unless it is named (options.commands) or the reference of the same
-// controller's state.
-void FindCommand(const RecordingStatistics& statistics, const RecordingOptions& options,
-                 PlannedJoint* joint, RecordingPlan* plan) {
-  const SignalStatistics& position = statistics.signals()[static_cast<size_t>(joint->q)];
-  const RecordedChannel& positions = statistics.channels()[plan->channel].description;
-  const bool moves = position.span() * joint->to_rad >= kStill;
-  double nearest = kNear * position.span();
-  std::vector<NamedCommand> named;
-  std::string refused;
-  for (size_t i = 0; i < statistics.signals().size(); ++i) {
-    const SignalStatistics& signal = statistics.signals()[i];
-    const auto off = signal.off.find(static_cast<size_t>(joint->q));
-    if (signal.description.quantity != JointQuantity::kCommand || off == signal.off.end() ||
-        signal.count < kLeastRows)
-      continue;
-    const RecordedChannel& channel = statistics.channels()[signal.description.channel].description;
-    if (!options.commands.empty() && channel.name != options.commands) continue;
-    const bool in_row = signal.description.channel == plan->channel;
-    const double distance = RootMean(off->second);
-    if (!absl::StartsWith(signal.description.joint, "[")) {
-      const bool said = !options.commands.empty() ||
-                        (in_row && KindOfType(channel.type) == JointMessageKind::kControllerState);
-      if (moves && !said && distance > kNear * position.span()) {
-        refused = absl::StrFormat(
-            "the command of %s in %s stays %.3g from a joint that spans %.3g: a step, another "
-            "unit, or another joint's? It is not taken; --commands %s takes it",
-            signal.description.joint, channel.name, distance, position.span(), channel.name);
-        continue;
-      }
-      named.push_back({static_cast<int>(i),
-                       signal.count,
-                       {in_row, SharedNamespace(channel.name, positions.name), -distance}});
-      continue;
-    }
-    const double next = NextNearest(statistics, signal, position.description.joint);
-    if (kClearly * distance > next || distance >= nearest) continue;
-    nearest = distance;
-    joint->command = static_cast<int>(i);
-    joint->command_because =
-        absl::StrFormat("it names no joint and stays %.3g from this one", distance);
-    if (std::isfinite(next))
-      absl::StrAppendFormat(&joint->command_because, ", %.3g from the next", next);
-  }
-  int64_t most = 0;
-  for (const NamedCommand& command : named) most = std::max(most, command.count);
-  const NamedCommand* best = nullptr;
-  for (const NamedCommand& command : named) {
-    if (2 * command.count >= most && (best == nullptr || command.quality > best->quality))
-      best = &command;
-  }
-  if (best != nullptr) {
-    joint->command = best->signal;
-    joint->command_because = "it has the joint's name";
-    const auto rank = [](const NamedCommand& command) {
-      return std::pair(std::get<0>(command.quality), std::get<1>(command.quality));
-    };
-    const auto alike = std::count_if(named.begin(), named.end(), [&](const NamedCommand& command) {
-      return rank(command) == rank(*best);
-    });
-    if (named.size() > 1)
-      absl::StrAppend(&joint->command_because, " and, of ", named.size(), " that do, ",
-                      alike > 1                    ? "stays nearest"
-                      : std::get<0>(best->quality) ? "stands in the positions' rows"
-                                                   : "has the topic that is nearest by its name");
-  } else if (joint->command < 0 && !refused.empty()) {
-    plan->sentences.push_back(std::move(refused));
-  }
-}
-
-// Whether --commands names a channel of commands.
-absl::Status CheckCommands(const RecordingStatistics& statistics, const RecordingOptions& options) {
-  if (options.commands.empty()) return absl::OkStatus();
-  std::set<std::string> known;
-  for (const SignalStatistics& signal : statistics.signals()) {
-    if (signal.description.quantity == JointQuantity::kCommand)
-      known.insert(statistics.channels()[signal.description.channel].description.name);
-  }
-  if (known.count(options.commands) > 0) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "--commands: '", options.commands, "' holds no commands of joints; those that do: ",
-      known.empty() ? "none" : absl::StrJoin(known, ", ")));
-}
-
 // Factor to radians; 0: not known.
 double ToRad(const RecordingStatistics& statistics, const RecordingOptions& options,
              const RecordingPlan& plan, const std::string& joint) {
@@ -271,19 +144,23 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
                                                     const RecordingOptions& options,
                                                     RecordingPlan* plan) {
   const std::vector<size_t> set = MostSet(statistics.channels()[plan->channel]);
+  std::vector<std::string> there;
+  for (const size_t i : set) there.push_back(statistics.signals()[i].description.joint);
+  for (const auto& [name, to_rad] : options.to_rad_of)
+    if (std::find(there.begin(), there.end(), name) == there.end())
+      return absl::InvalidArgumentError(absl::StrCat(
+          "--unit: '", name, "' is not in ", statistics.channels()[plan->channel].description.name,
+          "; there are: ", absl::StrJoin(there, ", ")));
   std::vector<size_t> chosen;
   for (const std::string& name : options.joints) {
     const auto found = std::find_if(set.begin(), set.end(), [&](size_t i) {
       return statistics.signals()[i].description.joint == name;
     });
-    if (found == set.end()) {
-      std::vector<std::string> known;
-      for (const size_t i : set) known.push_back(statistics.signals()[i].description.joint);
+    if (found == set.end())
       return absl::InvalidArgumentError(
           absl::StrCat("--joints: '", name, "' is not in ",
                        statistics.channels()[plan->channel].description.name,
-                       "; there are: ", absl::StrJoin(known, ", ")));
-    }
+                       "; there are: ", absl::StrJoin(there, ", ")));
     if (std::find(chosen.begin(), chosen.end(), *found) != chosen.end())
       return absl::InvalidArgumentError(absl::StrCat("--joints: '", name, "' stands twice"));
     chosen.push_back(*found);
@@ -464,12 +341,14 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
     return plan;
   }
   RS_RETURN_IF_ERROR(ChooseInput(statistics, options, &plan));
+  std::set<size_t> channels;
   for (PlannedJoint& joint : plan.joints) {
     if (joint.command < 0) continue;
-    joint.command_in_row =
-        statistics.signals()[static_cast<size_t>(joint.command)].description.channel ==
-        plan.channel;
+    const size_t of = statistics.signals()[static_cast<size_t>(joint.command)].description.channel;
+    joint.command_in_row = of == plan.channel;
+    channels.insert(of);
   }
+  for (const size_t of : channels) CompareClocks(statistics, options, of, &plan);
   return plan;
 }
 

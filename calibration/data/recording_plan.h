@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,9 @@ struct RecordingOptions {
   std::vector<std::string> joints;  // empty: those that move, of the messages that are most
   std::string topic;                // channel of the positions; empty: chosen
   std::string commands;             // channel of the commands, however far they are; empty: chosen
+  // Whether commands stand by their stamps or by the recorder's times.
+  enum class CommandTimes { kChosen, kStamps, kRecorder };
+  CommandTimes command_times = CommandTimes::kChosen;
   // Factor from the recording's angles to radians (metres of a slide); 0: what the recording says.
   double to_rad = 0;
   std::map<std::string, double> to_rad_of;  // of these joints
@@ -39,7 +43,9 @@ struct RecordingPlan {
   std::string why_none;
   size_t channel = 0;           // of the positions
   std::string channel_because;  // why not another one that holds the same joints; empty: no matter
-  bool by_stamp = false;        // whether rows stand at header.stamp, else at the recorder's time
+  // Channels of commands that stand by the recorder's times: their stamps are of another clock.
+  std::set<size_t> by_recorder;
+  bool by_stamp = false;  // whether rows stand at header.stamp, else at the recorder's time
   double rate_hz = 0;
   double made_up_rate_hz = 0;  // RecordingOptions::rate_hz
   double dt = 0;               // [s] between two rows
@@ -58,7 +64,5 @@ bool IsGripper(const std::string& joint);
 
 // A joint that spans less stands still [rad].
 inline constexpr double kStill = 0.01;
-// Stamps that are further from others, by the recorder's times, are of another clock [s].
-inline constexpr double kTwoClocks = 0.05;
 
 }  // namespace robostress::calibration

@@ -85,12 +85,13 @@ void ValueSample::Add(double value) {
   left_ = every_ - 1;
 }
 
-double ValueSample::Median() const {
+double ValueSample::Quantile(double share) const {
   if (values_.empty()) return 0;
   std::vector<double> sorted = values_;
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return *middle;
+  const auto at =
+      sorted.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(sorted.size() - 1));
+  std::nth_element(sorted.begin(), at, sorted.end());
+  return *at;
 }
 
 int64_t StepCounts::LongerThan(double limit_s) const {

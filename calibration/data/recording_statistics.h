@@ -52,7 +52,7 @@ class ValueSample {
  public:
   void Add(double value);
   bool empty() const { return values_.empty(); }
-  double Median() const;  // 0: none
+  double Quantile(double share) const;  // 0: none
 
  private:
   std::vector<double> values_;

@@ -19,7 +19,6 @@ constexpr double kRowsPerPeriod = 3;     // of a motion that rows still show
 constexpr double kSlower = 1.4;          // times a position's period: commands are fewer
 constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
 constexpr double kManyTurns = 8 * M_PI;  // [rad] angles beyond are rather in another unit
-constexpr double kSoonAfter = 0.01;      // [s] a command's stamp: not worth a word
 constexpr size_t kMostJoints = 64;       // that are printed
 constexpr size_t kLongestText = 400;
 
@@ -161,16 +160,6 @@ std::string CommandsText(const RecordingStatistics& statistics, const RecordingP
     if (!channel.description.caution.empty())
       absl::StrAppend(&text, "  Of these commands: ", Printable(channel.description.caution),
                       ".\n");
-    const auto ahead = channel.ahead.find(plan.channel);
-    const double by_s = ahead == channel.ahead.end() ? 0 : ahead->second.Median();
-    if (std::abs(by_s) > kSoonAfter && plan.by_stamp)
-      absl::StrAppendFormat(
-          &text, "  Stamps of %s are %.3f s %s those of %s, by the recorder's times: %s.\n",
-          Printable(channel.description.name), std::abs(by_s), by_s > 0 ? "ahead of" : "behind",
-          Printable(statistics.channels()[plan.channel].description.name),
-          std::abs(by_s) > kTwoClocks
-              ? "two clocks? These commands stand by the recorder's times"
-              : "two clocks, or the way to the recorder? They stand by their stamps");
     const StepCounts& clock = channel.stamped > 0 ? channel.stamp : channel.log;
     const double dt = clock.Typical();
     if (index != plan.channel && dt > kSlower * plan.dt)

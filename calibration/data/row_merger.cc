@@ -11,11 +11,9 @@ namespace {
 
 constexpr int64_t kWait = 500'000'000;  // [ns] that rows wait for commands recorded behind them
 constexpr int64_t kClockSet = 1'000'000'000;  // [ns]
-constexpr int64_t kTwoClocksNs = static_cast<int64_t>(kTwoClocks * 1e9);
-constexpr double kGap = 5;  // in rows; a piece ends there
+constexpr double kGap = 5;                    // in rows; a piece ends there
 constexpr size_t kMostWaiting = 1 << 16;
-constexpr size_t kNear = 8;     // rows among which the earliest is looked for
-constexpr size_t kRecent = 15;  // commands of which the median is taken
+constexpr size_t kNear = 8;  // rows among which the earliest is looked for
 constexpr int64_t kEver = std::numeric_limits<int64_t>::max();
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
@@ -44,22 +42,14 @@ absl::Status RowMerger::Finish() {
   last_at_.reset();
   last_log_.reset();
   ahead_of_log_.reset();
-  ahead_.clear();
   newest_ns_.reset();
   return writer_->End();
 }
 
-bool RowMerger::IsOfAnotherClock(const JointRow& row) {
-  if (!row.stamped || !plan_.by_stamp || !ahead_of_log_) return true;
-  const int64_t ahead = row.stamp_ns - row.log_ns - *ahead_of_log_;
-  if (std::abs(ahead) > kClockSet) return true;
-  std::deque<int64_t>& recent = ahead_[row.channel];
-  recent.push_back(ahead);
-  if (recent.size() > kRecent) recent.pop_front();
-  std::vector<int64_t> sorted(recent.begin(), recent.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return std::abs(*middle) > kTwoClocksNs;
+bool RowMerger::IsOfAnotherClock(const JointRow& row) const {
+  if (!row.stamped || !plan_.by_stamp || !ahead_of_log_ || plan_.by_recorder.count(row.channel) > 0)
+    return true;
+  return std::abs(row.stamp_ns - row.log_ns - *ahead_of_log_) > kClockSet;
 }
 
 absl::Status RowMerger::OnRow(const JointRow& row) {

@@ -18,10 +18,8 @@ namespace robostress::calibration {
 // Messages of two topics come in the order in which they were recorded, which is not that of their
 // stamps, and stamps may be of clocks that differ or are set:
 //
-// - A command stands by its stamp. Where a topic's stamps are more than kTwoClocks from those of
-// the
-//   positions, by the recorder's times (median of its last messages), or one is by more than a
-//   second, it stands by the recorder's time.
+// - A command stands by its stamp; by the recorder's time where its topic is one of
+//   plan.by_recorder, or where its stamp alone is more than a second from those of the positions.
 // - A row that is more than five rows from the one before waits for the next. Where that goes on
 //   from it, there was a gap or a clock was set; where it goes on from the one before, the row's
 //   stamp was wrong, and it is left out. After a step back no command holds until the next.
@@ -50,7 +48,7 @@ class RowMerger : public RecordingVisitor {
 
   absl::Status TakePositions(Waiting row);
   absl::Status Accept(Waiting row);
-  bool IsOfAnotherClock(const JointRow& row);
+  bool IsOfAnotherClock(const JointRow& row) const;
   // What was recorded until then is not compared with what comes.
   absl::Status Settle(int64_t until_log_ns, bool back);
   absl::Status Emit(int64_t until_log_ns);
@@ -70,9 +68,7 @@ class RowMerger : public RecordingVisitor {
   std::optional<int64_t> last_at_;       // of the rows taken
   std::optional<int64_t> last_log_;      // the same
   std::optional<int64_t> ahead_of_log_;  // the last position's stamp minus log
-  std::map<size_t, std::deque<int64_t>>
-      ahead_;                         // by channel of commands, the last ones' minus that
-  std::optional<int64_t> newest_ns_;  // log
+  std::optional<int64_t> newest_ns_;     // log
   int64_t bad_rows_ = 0, rows_without_command_ = 0, wrong_stamps_ = 0;
   absl::Status status_;
 };

@@ -64,6 +64,12 @@ std::string PairName(const mjModel& model, const std::pair<int, int>& pair) {
 
 }  // namespace
 
+double ArmSpace::RoundLoad(double mass) {
+  if (!(mass > kLightest)) return 0;
+  const double digit = std::pow(10, std::floor(std::log10(mass)));
+  return std::floor(mass / digit + 1e-9) * digit;
+}
+
 absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const Options& options) {
   std::unique_ptr<ArmSpace> space(new ArmSpace());
   RS_ASSIGN_OR_RETURN(space->model_,
@@ -109,21 +115,44 @@ absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const O
 
 void ArmSpace::FindCouplings() {
   const mjModel& m = *model_;
+  std::set<int> known(qpos_.begin(), qpos_.end());  // the rig's, and what is led
+  std::vector<Coupling> found;
   for (int k = 0; k < m.neq; ++k) {
     if (m.eq_type[k] != mjEQ_JOINT || !m.eq_active[k]) continue;
-    const int follower = m.eq_obj1id[k], leader = m.eq_obj2id[k];
+    int follower = m.eq_obj1id[k], leader = m.eq_obj2id[k];
     Coupling coupling;
+    std::copy_n(m.eq_data + mjNEQDATA * k, 5, coupling.polynomial);
+    if (known.count(m.jnt_qposadr[follower]) > 0) {
+      // The rig lists the one that the model makes follow: of a line the other way round.
+      const double* p = coupling.polynomial;
+      if (leader < 0 || known.count(m.jnt_qposadr[leader]) > 0 || p[1] == 0 || p[2] != 0 ||
+          p[3] != 0 || p[4] != 0)
+        continue;
+      std::swap(follower, leader);
+      const double offset = p[0], slope = p[1];
+      coupling.polynomial[0] = -offset / slope;
+      coupling.polynomial[1] = 1 / slope;
+    }
     coupling.q = m.jnt_qposadr[follower];
     coupling.dof = m.jnt_dofadr[follower];
-    if (std::find(qpos_.begin(), qpos_.end(), coupling.q) != qpos_.end()) continue;
     if (leader >= 0) {
       coupling.leader_q = m.jnt_qposadr[leader];
       coupling.leader_dof = m.jnt_dofadr[leader];
-      const bool led = moves_[m.jnt_bodyid[leader]] != 0;
-      moves_[m.jnt_bodyid[follower]] |= led;
     }
-    std::copy_n(m.eq_data + mjNEQDATA * k, 5, coupling.polynomial);
-    couplings_.push_back(coupling);
+    known.insert(coupling.q);
+    found.push_back(coupling);
+  }
+  // Of a circle nothing is left over that waits for nobody; it stays where it is.
+  while (!found.empty()) {
+    const auto next = std::find_if(found.begin(), found.end(), [&](const Coupling& c) {
+      return std::none_of(found.begin(), found.end(),
+                          [&](const Coupling& other) { return other.q == c.leader_q; });
+    });
+    if (next == found.end()) break;
+    if (next->leader_dof >= 0)
+      moves_[m.dof_bodyid[next->dof]] |= moves_[m.dof_bodyid[next->leader_dof]];
+    couplings_.push_back(*next);
+    found.erase(next);
   }
   for (int body = 1; body < m.nbody; ++body) moves_[body] |= moves_[m.body_parentid[body]];
 }
@@ -142,11 +171,15 @@ double ArmSpace::Coupling::Slope(double x) const {
 void ArmSpace::TakeParameters(const Rig& rig) {
   for (size_t j = 0; j < rig.joints.size(); ++j) {
     mass_scale_.push_back(1);
+    torque_gain_.push_back(1);
+    torque_offset_.push_back(0);
     for (const auto& [name, value] : rig.joints[j].parameters) {
       if (name == "armature") model_->dof_armature[dof_[j]] = value;
       if (name == "damping") model_->dof_damping[dof_[j]] = value;
       if (name == "frictionloss") model_->dof_frictionloss[dof_[j]] = value;
       if (name == "mass_scale") mass_scale_[j] = value;
+      if (name == "torque_gain") torque_gain_[j] = value;
+      if (name == "torque_offset") torque_offset_[j] = value;
     }
   }
 }
@@ -273,11 +306,14 @@ std::vector<double> ArmSpace::TorquesAt(const std::vector<double>& posture,
       for (int axis = 0; axis < 3; ++axis)
         all[dof] += load_ * jacobian[axis * m.nv + dof] * acceleration_of_site[3 + axis];
   }
-  for (size_t k = 0; k < couplings_.size(); ++k)
+  for (size_t k = couplings_.size(); k-- > 0;)
     if (couplings_[k].leader_dof >= 0)
       all[couplings_[k].leader_dof] += slopes[k] * all[couplings_[k].dof];
+  // What the servo is asked for: its limit stands before the motor's gain.
   std::vector<double> torques;
-  for (const int dof : dof_) torques.push_back(all[dof]);
+  for (size_t j = 0; j < dof_.size(); ++j)
+    torques.push_back((all[dof_[j]] - torque_offset_[j]) /
+                      (torque_gain_[j] != 0 ? torque_gain_[j] : 1));
   mju_zero(data_->qvel, model_->nv);
   mju_zero(data_->qacc, model_->nv);
   return torques;
@@ -308,8 +344,7 @@ double ArmSpace::LoadOf(double share, double torque_share, const std::vector<dou
         most = std::min(most, std::max(0.0, left) / (kG * std::sqrt(arm2)));
     }
   }
-  return std::isfinite(most) && most > kLightest ? std::stod(absl::StrFormat("%.1g", 0.95 * most))
-                                                 : 0;
+  return std::isfinite(most) ? RoundLoad(0.95 * most) : 0;
 }
 
 absl::Status ArmSpace::Film(const std::vector<std::vector<double>>& q, int every, double frame_s,

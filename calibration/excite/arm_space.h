@@ -52,6 +52,8 @@ class ArmSpace {
                                 const std::vector<double>& acceleration);
   // [kg] that the motors bear at the payload's place from now on.
   void SetLoad(double mass) { load_ = mass; }
+  // Down to one digit [kg]; 0: too light to tell anything.
+  static double RoundLoad(double mass);
   // "Nm", of a slide "N".
   const char* TorqueUnit(size_t joint) const;
   // [kg] at the tip that adds `share` of a joint's inertia where it adds most of it, one digit;
@@ -77,7 +79,7 @@ class ArmSpace {
   mjData* data_ = nullptr;
   Options options_;
   // A joint that the rig does not list, held to another by the model: q - q0 is a polynomial of the
-  // other's, or a constant.
+  // other's, or a constant. A leader stands before what follows it.
   struct Coupling {
     int q = 0, dof = 0, leader_q = -1, leader_dof = -1;
     double polynomial[5] = {};
@@ -86,7 +88,7 @@ class ArmSpace {
   };
   std::vector<int> qpos_, dof_;  // of the rig's joints
   std::vector<Coupling> couplings_;
-  std::vector<double> mass_scale_;  // of the rig's joints
+  std::vector<double> mass_scale_, torque_gain_, torque_offset_;  // of the rig's joints
   int payload_site_ = -1;
   double load_ = 0;
   std::vector<std::optional<Stops>> stops_;

@@ -155,6 +155,11 @@ class Designer {
     }
     return overrides;
   }
+  static Change Load(double mass) {
+    return mass > 0 ? Change{.words = absl::StrFormat("with a known %.3g kg at the tip", mass),
+                             .mass = mass}
+                    : Change();
+  }
   // The centre, and ends of the joints' ways.
   std::vector<std::vector<double>> SomePostures() const {
     std::vector<std::vector<double>> postures = {centre_};
@@ -172,9 +177,7 @@ class Designer {
     if (options_.asked.empty()) return changes;
     const double mass =
         space_->LoadOf(kLoadShare, options_.torque_share, torque_limits_, SomePostures());
-    if (mass > 0)
-      changes.push_back(
-          {.words = absl::StrFormat("with a known %.3g kg at the tip", mass), .mass = mass});
+    if (mass > 0) changes.push_back(Load(mass));
     const bool servo = std::any_of(
         rig_.joints.begin(), rig_.joints.end(),
         [](const RigJoint& joint) { return joint.input == JointInput::kPositionTarget; });
@@ -371,6 +374,14 @@ class Designer {
       }
     }
     if (design_.torque_used <= options_.torque_share) return true;
+    if (by_holding && design_.mass > 0) {  // somewhere on the way it is too heavy
+      design_.mass = ArmSpace::RoundLoad(0.7 * design_.mass);
+      const Change lighter = Load(design_.mass);
+      design_.change = lighter.words;
+      design_.overrides = OverridesOf(lighter);
+      space_->SetLoad(design_.mass);
+      return false;
+    }
     if (last || by_holding)
       return absl::FailedPreconditionError(absl::StrFormat(
           "%s%s; the motion may ask for %.3g of it: give another --centre, a smaller --swing, or "

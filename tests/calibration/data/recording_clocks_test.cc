@@ -94,18 +94,42 @@ TEST(RecordingClocksTest, ComparesCommandsOfAnotherClockByTheRecordersTimes) {
     const Result result = Recorded("another_clock", Plain, other, Plain);
     EXPECT_LT(WorstCommand(result, 2), 1e-9) << off;
     EXPECT_GT(Rows(result), 5990);
-    EXPECT_THAT(result.text, AllOf(HasSubstr("by the recorder's times: two clocks?"),
-                                   HasSubstr(off > 0 ? "s ahead of those" : "s behind those")));
+    EXPECT_THAT(result.text,
+                AllOf(HasSubstr("by the recorder's times: two clocks?"),
+                      HasSubstr("stand by the recorder's times; --command-times stamps"),
+                      HasSubstr(off > 0 ? "s ahead of those" : "s behind those")));
   }
-  // A command that takes 30 ms to the recorder stands where it was stamped.
-  Recorder recorder;
-  for (int i = 0; i < 6000; ++i) {
-    recorder.JointState(Plain(i) + 1, {Plain(i) + 1, {"a"}, {i / 1000.0}});
-    recorder.Other(Plain(i) + 30'000'000, {Plain(i), {"a"}, {(i + 2) / 1000.0}});
-  }
-  const Result late = Inspect(recorder.Write("late_commands", "/arm/joint_command"));
+}
+
+// However they come to the recorder: late, in batches, sometimes later.
+TEST(RecordingClocksTest, LeavesCommandsAtTheirStampsWhereTheWayIsSlow) {
+  const auto recorded = [](const std::string& name, auto late) {
+    std::vector<std::pair<int64_t, int>>
+        order;  // when, which: the command of row i is i, its row -i - 1
+    for (int i = 0; i < 6000; ++i) {
+      order.emplace_back(Plain(i) + late(i), i);
+      order.emplace_back(Plain(i) + 1, -i - 1);
+    }
+    std::stable_sort(order.begin(), order.end());
+    Recorder recorder;
+    for (const auto& [at, i] : order) {
+      if (i >= 0)
+        recorder.Other(at, {Plain(i), {"a"}, {(i + 2) / 1000.0}});
+      else
+        recorder.JointState(at, {Plain(-i - 1) + 1, {"a"}, {(-i - 1) / 1000.0}});
+    }
+    return Inspect(recorder.Write(name, "/arm/joint_command"));
+  };
+  const int64_t ms = 1'000'000;
+  const Result late = recorded("late", [&](int) { return 80 * ms; });
   EXPECT_LT(WorstCommand(late, 2), 1e-9);
-  EXPECT_THAT(late.text, HasSubstr("They stand by their stamps"));
+  EXPECT_THAT(late.text, HasSubstr("stand by their stamps; --command-times recorder"));
+  const Result batches = recorded("batches", [&](int i) { return (20 - i % 20) * 10 * ms; });
+  EXPECT_LT(WorstCommand(batches, 2), 1e-9);
+  EXPECT_THAT(batches.text, HasSubstr("give or take"));
+  const Result drifting = recorded(
+      "drifting", [&](int i) { return (50 + static_cast<int64_t>(20 * std::sin(0.01 * i))) * ms; });
+  EXPECT_LT(WorstCommand(drifting, 2), 1e-9);
 }
 
 TEST(RecordingClocksTest, LeavesOutARowWithoutAStamp) {
@@ -168,6 +192,20 @@ TEST(RecordingClocksTest, TakesTheCommandsOfTheArmsOwnNamespaceOrTheNearest) {
     EXPECT_THAT(result.text, HasSubstr(named ? "of 2 that do, has the topic that is nearest"
                                              : "of 2 that do, stays nearest"));
   }
+}
+
+// However many messages another topic has: a leader's, for one.
+TEST(RecordingClocksTest, PrefersTheReferenceInThePositionsOwnRow) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    recorder.Reference(Plain(i), Plain(i), "a", Angle(i, 0.1), {Angle(i, 0)});
+    for (int k = 0; k < 3; ++k)
+      recorder.Other(Plain(i) + k, {Plain(i) + k, {"a"}, {Angle(i, 0.05)}});
+  }
+  const Result result = Inspect(recorder.Write("own_row", "/leader/joint_command"));
+  ASSERT_THAT(result.plan.joints, SizeIs(1));
+  EXPECT_TRUE(result.plan.joints[0].command_in_row);
+  EXPECT_THAT(result.text, HasSubstr("of 2 that do, stands in the positions' rows"));
 }
 
 Rig Declared(JointInput input) {
@@ -242,6 +280,15 @@ TEST(RecordingClocksTest, TakesStepsOfAReference) {
   RecordingOptions options;
   options.commands = "/arm/joint_command";
   EXPECT_THAT(Inspect(recording, options).plan.joints, SizeIs(1));
+  Recorder unnamed;
+  for (int i = 0; i < 6000; ++i) {
+    unnamed.Command(Plain(i), {i / 100 % 2 == 0 ? 0.5 : 0.0});
+    unnamed.JointState(Plain(i) + 1, {Plain(i) + 1, {"a"}, {0.25 + 0.25 * std::sin(0.0314 * i)}});
+  }
+  const std::string array = unnamed.Write("steps_unnamed");
+  EXPECT_THAT(Inspect(array).plan.joints, IsEmpty());
+  options.commands = "/commands";
+  EXPECT_THAT(Inspect(array, options).plan.joints, SizeIs(1));
   options.commands = "/none";
   RecordingStatistics statistics;
   EXPECT_THAT(
@@ -264,6 +311,10 @@ TEST(RecordingClocksTest, TakesAUnitOfEveryJoint) {
   ASSERT_THAT(result.plan.joints, SizeIs(3)) << "a CSV's gripper has a unit";
   EXPECT_NEAR(Column(result, "q_pan")[9], 2 * Angle(9, 0), 1e-6);
   EXPECT_NEAR(Column(result, "q_cmd_lift")[9], 3 * Angle(9, 1.1), 1e-6);
+  options.to_rad_of = {{"pna", 2}};
+  RecordingStatistics statistics;
+  EXPECT_THAT(std::string(Plan(recording, options, &statistics).status().message()),
+              HasSubstr("--unit: 'pna' is not in"));
 }
 
 TEST(RecordingClocksTest, NamesAModelThatAFolderReachedByALinkFinds) {

@@ -274,6 +274,9 @@ TEST(ArmSpaceTest, MotorsBearWhatTheRigSaysAndTheLoad) {
   rig.joints[0].parameters = {{"mass_scale", 2}};
   const auto heavy = (*ArmSpace::Load(rig, {}))->TorquesAt(q, v, a);
   EXPECT_NEAR(heavy[0] - plain[0], plain[0] - 0.5 * 0.7, 1e-6);
+  rig.joints[0].parameters = {{"torque_gain", 0.7}, {"torque_offset", 0.2}};
+  EXPECT_NEAR((*ArmSpace::Load(rig, {}))->TorquesAt(q, v, a)[0], (plain[0] - 0.2) / 0.7, 1e-6)
+      << "a weak motor is asked for more";
   // A ball at the tip, of the model or as the load.
   std::string with_ball = kTwoLinks;
   const std::string site = "<site name=\"tip\"";
@@ -297,8 +300,8 @@ TEST(ArmSpaceTest, PartsMeetWhateverTheirMasks) {
   EXPECT_EQ((*space)->MetAt({1.0, 2.93}), "base and fore");
 }
 
-// A finger that the rig does not list follows the one that it does, and is borne by its motor.
-TEST(ArmSpaceTest, ACoupledFingerMovesAndWeighsWithItsLeader) {
+// Two fingers at the tip, of 50 and 70 g, and a third part of 30 g that follows the right one.
+std::string WithFingers(const std::string& equality) {
   std::string mjcf = kTwoLinks;
   mjcf.insert(
       mjcf.find("<site name=\"tip\""),
@@ -306,23 +309,50 @@ TEST(ArmSpaceTest, ACoupledFingerMovesAndWeighsWithItsLeader) {
       "<geom type=\"box\" size=\"0.01 0.01 0.03\" mass=\"0.05\"/></body>"
       "<body name=\"right\" pos=\"0 -0.02 0.35\"><joint name=\"right\" type=\"slide\" axis=\"0 -1 "
       "0\"/>"
-      "<geom type=\"box\" size=\"0.01 0.01 0.03\" mass=\"0.07\"/></body>");
-  mjcf.replace(
-      mjcf.find("</mujoco>"), 9,
-      "<equality><joint joint1=\"right\" joint2=\"left\" polycoef=\"0.01 2 0 0 0\"/></equality>"
-      "</mujoco>");
-  Rig rig = TwoLinks(mjcf);
-  rig.joints.push_back(rig.joints[0]);
-  rig.joints.back().name = "left";
-  const auto space = ArmSpace::Load(rig, {.clearance = 0.002});
-  ASSERT_TRUE(space.ok()) << space.status();
-  const std::vector<double> q = {0.5, 0.8, 0.015}, still = {0, 0, 0};
-  EXPECT_NEAR((*space)->TorquesAt(q, still, still)[2], 0, 1e-9) << "it lies across gravity";
-  EXPECT_NEAR((*space)->TorquesAt(q, still, {0, 0, 3})[2], 3 * (0.05 + 2 * 2 * 0.07), 1e-9);
-  EXPECT_STREQ((*space)->TorqueUnit(2), "N");
-  ASSERT_TRUE((*space)->WatchFrom({0.5, 0.8, 0.02}).ok());
-  EXPECT_EQ((*space)->MetAt({0.5, 0.8, 0.02}), "");
-  EXPECT_EQ((*space)->MetAt({0.5, 0.8, -0.015}), "left and right") << "both closed in";
+      "<geom type=\"box\" size=\"0.01 0.01 0.03\" mass=\"0.07\"/></body>"
+      "<body name=\"pad\" pos=\"0 -0.2 0.35\"><joint name=\"pad\" type=\"slide\" axis=\"0 -1 0\"/>"
+      "<geom type=\"box\" size=\"0.01 0.01 0.03\" mass=\"0.03\"/></body>");
+  mjcf.insert(mjcf.find("</mujoco>"), "<equality>" + equality + "</equality>");
+  return mjcf;
+}
+constexpr char kFingers[] = "<joint joint1=\"right\" joint2=\"left\" polycoef=\"0.01 2 0 0 0\"/>";
+constexpr char kPad[] = "<joint joint1=\"pad\" joint2=\"right\" polycoef=\"0 3 0 0 0\"/>";
+
+// A finger that the rig does not list follows the one that it does, and is borne by its motor:
+// whichever the model calls the follower, in whatever order.
+TEST(ArmSpaceTest, ACoupledFingerMovesAndWeighsWithItsLeader) {
+  const std::vector<double> still = {0, 0, 0};
+  for (const std::string listed : {"left", "right"}) {
+    for (const std::string& equality :
+         {std::string(kFingers) + kPad, std::string(kPad) + kFingers}) {
+      Rig rig = TwoLinks(WithFingers(equality));
+      rig.joints.push_back(rig.joints[0]);
+      rig.joints.back().name = listed;
+      const auto space = ArmSpace::Load(rig, {.clearance = 0.002});
+      ASSERT_TRUE(space.ok()) << space.status();
+      const bool left = listed == "left";
+      // right = 0.01 + 2 left, pad = 3 right
+      const double open = left ? 0.02 : 0.05, shut = left ? -0.015 : -0.02;
+      EXPECT_NEAR((*space)->TorquesAt({0.5, 0.8, open}, still, still)[2], 0, 1e-9)
+          << "it lies across gravity";
+      const double of_left = 0.05 + 4 * 0.07 + 36 * 0.03;
+      EXPECT_NEAR((*space)->TorquesAt({0.5, 0.8, open}, still, {0, 0, 3})[2],
+                  3 * (left ? of_left : of_left / 4), 1e-9)
+          << listed << equality;
+      EXPECT_STREQ((*space)->TorqueUnit(2), "N");
+      ASSERT_TRUE((*space)->WatchFrom({0.5, 0.8, open}).ok());
+      EXPECT_EQ((*space)->MetAt({0.5, 0.8, open}), "");
+      EXPECT_EQ((*space)->MetAt({0.5, 0.8, shut}), "left and right") << "both closed in";
+    }
+  }
+}
+
+TEST(ArmSpaceTest, ALoadIsRoundedDown) {
+  EXPECT_DOUBLE_EQ(ArmSpace::RoundLoad(0.295), 0.2);
+  EXPECT_DOUBLE_EQ(ArmSpace::RoundLoad(0.3), 0.3);
+  EXPECT_DOUBLE_EQ(ArmSpace::RoundLoad(0.149), 0.1);
+  EXPECT_DOUBLE_EQ(ArmSpace::RoundLoad(4.9), 4);
+  EXPECT_EQ(ArmSpace::RoundLoad(0.004), 0);
 }
 
 TEST(ArmSpaceTest, ATurntableOnTheFloorIsNoObstacle) {

@@ -102,8 +102,8 @@ def opened(bus=None):
 class LeRobotRules(unittest.TestCase):
     def test_power_finds_no_old_goal(self):
         arm = opened()
-        self.assertEqual(arm.bus.said[-1], ("power", {"a": 10, "gripper": 60}))
-        self.assertEqual([s for s in arm.bus.said if s != "off"], [arm.bus.said[-1]])
+        self.assertEqual(arm.lerobot.bus.said[-1], ("power", {"a": 10, "gripper": 60}))
+        self.assertEqual([s for s in arm.lerobot.bus.said if s != "off"], [arm.lerobot.bus.said[-1]])
 
     def test_an_arm_that_is_not_calibrated_gets_no_power_and_keeps_what_it_has(self):
         bus = Bus()
@@ -115,17 +115,17 @@ class LeRobotRules(unittest.TestCase):
 
     def test_a_driver_that_fails_lets_go_of_nothing_and_one_that_ends_does_what_it_says(self):
         arm = opened()
-        del arm.bus.said[:]
+        del arm.lerobot.bus.said[:]
         arm.lerobot.disconnect()  # a destructor
-        self.assertEqual(arm.bus.said, [])
+        self.assertEqual(arm.lerobot.bus.said, [])
         arm.close()
-        self.assertEqual(arm.bus.said, ["off"])
+        self.assertEqual(arm.lerobot.bus.said, ["off"])
 
     def test_a_joint_without_power_is_seen_and_limp_fingers_do_not_close_again(self):
         arm = opened()
         self.assertTrue(arm.powered())
         arm.grip, arm.last_target = (1, 0.0, 0.5), [10.0, 0.0]
-        arm.bus.there["Torque_Enable"]["gripper"] = 0
+        arm.lerobot.bus.there["Torque_Enable"]["gripper"] = 0
         arm.ask_again = 0.0
         self.assertFalse(arm.powered())
         arm.enable()
@@ -135,11 +135,11 @@ class LeRobotRules(unittest.TestCase):
     def test_an_enable_of_an_arm_with_power_does_not_open_its_gripper(self):
         arm = opened()
         arm.grip = (1, 0.0, 0.5)
-        powers = len(arm.bus.said)
+        powers = len(arm.lerobot.bus.said)
         arm.enable()
         self.assertEqual(arm.lerobot.log[-1], {"a.pos": 10.0, "gripper.pos": 0.0})
-        self.assertEqual(arm.bus.there["Goal_Position"]["gripper"], 0)
-        self.assertEqual(len(arm.bus.said), powers)
+        self.assertEqual(arm.lerobot.bus.there["Goal_Position"]["gripper"], 0)
+        self.assertEqual(len(arm.lerobot.bus.said), powers)
 
     def test_a_bus_without_these_registers_is_driven_as_it_is(self):
         arm = opened(Bus(known=()))
@@ -147,6 +147,94 @@ class LeRobotRules(unittest.TestCase):
         self.assertFalse(arm.powered())
         arm.enable()
         self.assertTrue(arm.powered())
+
+    def test_a_bus_that_reads_motor_by_motor_is_guarded_too(self):
+        class OneByOne(Bus):
+            def sync_read(self, name, motors=None, normalize=True, num_retry=0):
+                raise NotImplementedError
+
+            sync_write = None
+
+            def read(self, name, motor, normalize=True, num_retry=0):
+                return self.there[name][motor]
+
+            def write(self, name, motor, value, normalize=True, num_retry=0):
+                self.there[name][motor] = value
+
+        arm = opened(OneByOne())
+        self.assertEqual(arm.lerobot.bus.said[-1], ("power", {"a": 10, "gripper": 60}))
+        self.assertTrue(arm.powered())
+
+    def test_a_bus_of_another_kind_is_driven_as_it_is_and_left_limp_where_it_is_not_calibrated(self):
+        class Can(Bus):
+            def sync_read(self, name, motors=None):
+                return dict(self.there[name])
+
+        arm = opened(Can())
+        self.assertFalse(arm.tells_power)
+        self.assertTrue(arm.powered())
+        bus = Can()
+        bus.fits = False
+        with self.assertRaisesRegex(SystemExit, "lerobot-calibrate"):
+            opened(bus)
+        self.assertEqual(bus.said[-1], "off", "its own connect gave the power")
+
+    def test_a_pair_of_arms_is_asked_and_guarded_arm_by_arm(self):
+        class Pair:
+            name, id, cameras = "bi_so_follower", "two", {}
+            action_features = observation_features = {
+                f"{side}_{name}.pos": float for side in ("left", "right") for name in ("a", "gripper")}
+
+            def __init__(self):
+                self.config = types.SimpleNamespace()
+                self.left_arm, self.right_arm = Robot(Bus()), Robot(Bus())
+
+            is_calibrated = True
+
+            def connect(self, calibrate=True):
+                self.left_arm.connect(), self.right_arm.connect()
+
+            def disconnect(self):
+                self.left_arm.disconnect(), self.right_arm.disconnect()
+
+            def get_observation(self):
+                return {f"{side}_{name}": at for side in ("left", "right")
+                        for name, at in getattr(self, side + "_arm").get_observation().items()}
+
+        pair = Pair()
+        arm = lerobot_driver.LeRobotArm(pair)
+        self.assertEqual(arm.units["right_gripper"], (0, 100))
+        self.assertFalse(pair.left_arm.config.disable_torque_on_disconnect)
+        arm.open()
+        for one in (pair.left_arm, pair.right_arm):
+            self.assertEqual(one.bus.said[-1], ("power", {"a": 10, "gripper": 60}))
+        self.assertTrue(arm.powered())
+        pair.right_arm.bus.there["Torque_Enable"]["a"] = 0
+        arm.ask_again = 0.0
+        self.assertFalse(arm.powered())
+        arm.close()
+        self.assertEqual((pair.left_arm.bus.said[-1], pair.right_arm.bus.said[-1]), ("off", "off"))
+
+    def test_a_silent_bus_is_not_asked_for_its_power_and_one_that_answers_once(self):
+        tries = []
+
+        class Counting(Bus):
+            def sync_read(self, name, motors=None, normalize=True, num_retry=0):
+                tries.append((name, num_retry))
+                return super().sync_read(name, motors, normalize, num_retry)
+
+        arm = opened(Counting())
+        del tries[:]
+        arm.look()
+        arm.ask_again = 0.0
+        arm.powered()
+        self.assertEqual(tries, [("Torque_Enable", 0)])
+        arm.lerobot.get_observation = lambda: 1 / 0
+        with self.assertRaises(ZeroDivisionError):
+            arm.look()
+        arm.ask_again = 0.0
+        self.assertTrue(arm.powered())
+        self.assertEqual(len(tries), 1)
 
     def test_it_says_which_robot_and_in_what_it_counts(self):
         arm = lerobot_driver.LeRobotArm(Robot(Bus()))
@@ -162,7 +250,7 @@ class LeRobotRules(unittest.TestCase):
         arm = lerobot_driver.LeRobotArm(robot)
         with self.assertRaisesRegex(SystemExit, "another driver has this arm"):
             arm.open()
-        self.assertEqual(arm.bus.said, [])
+        self.assertEqual(arm.lerobot.bus.said, [])
 
     def test_nothing_is_opened_before_the_socket_is_its_own(self):
         class Counted(bridge.Arm):
@@ -227,6 +315,15 @@ class Ros2Rules(unittest.TestCase):
         arm = self.arm()
         self.assertAlmostEqual(self.come(arm, 0.0), 0.0, delta=0.05)
         self.assertIsNone(self.come(arm, 30.0), "older than the one before")
+
+    def test_a_clock_a_little_ahead_is_no_time_to_come_and_one_wild_stamp_is_left_out(self):
+        arm = self.arm()
+        for age in (0.0, -0.05, -0.4):
+            self.assertAlmostEqual(self.come(arm, age), 0.0, delta=0.04)
+        arm = self.arm()
+        self.come(arm, 0.0)
+        self.assertIsNone(self.come(arm, -600.0))
+        self.assertAlmostEqual(self.come(arm, 0.0), 0.0, delta=0.05)
 
     def test_an_old_state_does_not_say_where_the_arm_stands(self):
         arm = self.arm()
