@@ -1,5 +1,6 @@
 #include "calibration/excite/arm_space.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -21,6 +22,8 @@ constexpr int kFloor = -1, kBox = -2;           // in the place of a second body
 constexpr double kG = 9.81, kLightest = 0.005;  // [m/s^2], [kg]
 constexpr int kWidth = 480, kHeight = 360;
 constexpr float kQuality = 60, kLight = 0.6F;
+constexpr double kFilmed =
+    0.7;  // of the diagonal of what moves: MuJoCo's camera stands 1.5 times this away
 
 // With its shapes, where their files are found; else without them, and why.
 absl::StatusOr<std::shared_ptr<mjModel>> LoadWithShapes(const Rig& rig, std::string* why_without,
@@ -352,12 +355,29 @@ absl::Status ArmSpace::Film(const std::vector<std::vector<double>>& q, int every
   // Whatever the model says of light, the arm shall be seen.
   for (float* light : {model_->vis.headlight.ambient, model_->vis.headlight.diffuse})
     std::fill_n(light, 3, kLight);
-  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Renderer> renderer, Renderer::Create(model_));
-  std::vector<Image> frames;
   std::vector<double> posture(q.size());
-  for (size_t row = 0; row < q[0].size(); row += every) {
+  const auto set_row = [&](size_t row) {
     for (size_t i = 0; i < q.size(); ++i) posture[i] = q[i][row];
     SetPosture(posture);
+  };
+  // The free camera looks at what moves, wherever it goes.
+  Eigen::AlignedBox3d seen;
+  for (size_t row = 0; row < q[0].size(); row += every) {
+    set_row(row);
+    for (int geom = 0; geom < model_->ngeom; ++geom) {
+      const Eigen::Map<const Eigen::Vector3d> place(data_->geom_xpos + 3 * geom);
+      const Eigen::Vector3d radius = Eigen::Vector3d::Constant(model_->geom_rbound[geom]);
+      if (moves_[model_->geom_bodyid[geom]]) seen.extend(place - radius).extend(place + radius);
+    }
+  }
+  if (!seen.isEmpty()) {
+    mju_copy3(model_->stat.center, seen.center().eval().data());
+    model_->stat.extent = kFilmed * seen.diagonal().norm();
+  }
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Renderer> renderer, Renderer::Create(model_));
+  std::vector<Image> frames;
+  for (size_t row = 0; row < q[0].size(); row += every) {
+    set_row(row);
     mj_camlight(model_.get(), data_);
     RS_ASSIGN_OR_RETURN(Image frame,
                         renderer->Render(*data_, "", {.width = kWidth, .height = kHeight}));
