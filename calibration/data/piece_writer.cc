@@ -14,13 +14,6 @@
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
-namespace {
-
-constexpr double kGap = 5;          // in dt, as a log's (measured_log.cc)
-constexpr int64_t kLeastRows = 50;  // the same
-
-}  // namespace
-
 PieceWriter::~PieceWriter() {
   if (file_ == nullptr) return;
   std::fclose(file_);
@@ -54,7 +47,8 @@ absl::Status PieceWriter::Begin(const PlannedRow& row) {
 
 absl::Status PieceWriter::Add(const PlannedRow& row) {
   const double since_last = static_cast<double>(row.at_ns - last_ns_) * 1e-9;
-  const bool breaks = std::abs(since_last) > kGap * plan_.dt;  // forward, or a clock that was set
+  const bool breaks =
+      std::abs(since_last) > kGapRows * plan_.dt;  // forward, or a clock that was set
   if (file_ != nullptr && since_last <= 0 && !breaks) {
     ++late_rows_;
     return absl::OkStatus();

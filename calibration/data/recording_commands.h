@@ -8,8 +8,6 @@
 
 namespace robostress::calibration {
 
-inline constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
-
 // Of a sum of squares and a count.
 double RootMean(const std::pair<double, int64_t>& sum);
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <set>
 #include <string>
@@ -62,6 +63,7 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
 // metres or counts.
 bool IsGripper(const std::string& joint);
 
+inline constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
 // A joint that spans less stands still [rad].
 inline constexpr double kStill = 0.01;
 

@@ -14,7 +14,6 @@ constexpr size_t kMostNotes = 200;
 constexpr size_t kMostSets = 64;  // of names in one channel's messages
 constexpr size_t kMostSetsOfAll = 1024, kMostCompared = 256;
 constexpr size_t kMostValues = 1024;
-constexpr double kGap = 5;         // times the median: no step between two rows
 constexpr size_t kMostAlike = 64;  // positions that a command without a name is compared with
 constexpr double kTurn = 0.02;     // of the span: a motion back by less is no reversal
 
@@ -71,7 +70,7 @@ double StepCounts::Typical() const {
   const double median = Quantile(0.5);
   int64_t count = 0;
   const double near = MeanBetween(0.5 * median, 1.5 * median, &count);
-  return 2 * count > steps_ ? near : MeanBetween(0, kGap * median, &count);
+  return 2 * count > steps_ ? near : MeanBetween(0, kGapRows * median, &count);
 }
 
 void ValueSample::Add(double value) {

@@ -12,6 +12,8 @@
 
 namespace robostress::calibration {
 
+inline constexpr double kGapRows = 5;  // a step of more is a gap, where calibrate splits a log
+
 // The steps of a clock [ns], counted in bins of 2.2 %, so that a long recording takes no more
 // memory than a short one.
 class StepCounts {

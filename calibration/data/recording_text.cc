@@ -13,7 +13,6 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kGap = 5;               // in dt: calibrate splits a log there
 constexpr double kLost = 1.5;            // in dt: a row is missing
 constexpr double kRowsPerPeriod = 3;     // of a motion that rows still show
 constexpr double kSlower = 1.4;          // times a position's period: commands are fewer
@@ -37,9 +36,9 @@ std::string ClockText(const char* name, const StepCounts& clock) {
       "    %s: every %.4g ms (5 %% to 95 %%: %.4g to %.4g ms), longest %.4g ms at %.2f s", name,
       dt * 1e3, clock.Quantile(0.05) * 1e3, clock.Quantile(0.95) * 1e3, clock.longest_s() * 1e3,
       clock.longest_at_s());
-  if (const int64_t gaps = clock.LongerThan(kGap * dt); gaps > 0)
+  if (const int64_t gaps = clock.LongerThan(kGapRows * dt); gaps > 0)
     absl::StrAppend(&text, ", ", gaps, " gaps over 5 rows");
-  if (const int64_t lost = clock.LongerThan(kLost * dt) - clock.LongerThan(kGap * dt); lost > 0)
+  if (const int64_t lost = clock.LongerThan(kLost * dt) - clock.LongerThan(kGapRows * dt); lost > 0)
     absl::StrAppend(&text, ", ", lost, " times rows are missing");
   if (clock.backwards() > 0) absl::StrAppend(&text, ", ", clock.backwards(), " times backwards");
   if (clock.duplicates() > 0)

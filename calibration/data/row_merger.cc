@@ -11,7 +11,6 @@ namespace {
 
 constexpr int64_t kWait = 500'000'000;  // [ns] that rows wait for commands recorded behind them
 constexpr int64_t kClockSet = 1'000'000'000;  // [ns]
-constexpr double kGap = 5;                    // in rows; a piece ends there
 constexpr size_t kMostWaiting = 1 << 16;
 constexpr size_t kNear = 8;  // rows among which the earliest is looked for
 constexpr int64_t kEver = std::numeric_limits<int64_t>::max();
@@ -20,7 +19,7 @@ constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
 RowMerger::RowMerger(const RecordingPlan& plan, PieceWriter* writer)
-    : plan_(plan), writer_(writer), gap_ns_(static_cast<int64_t>(kGap * plan.dt * 1e9)) {
+    : plan_(plan), writer_(writer), gap_ns_(static_cast<int64_t>(kGapRows * plan.dt * 1e9)) {
   for (size_t j = 0; j < plan.joints.size(); ++j) {
     const PlannedJoint& joint = plan.joints[j];
     for (const auto& [signal, place] :

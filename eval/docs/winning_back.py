@@ -166,6 +166,9 @@ def main():
         return
     first_seed = sys.argv[1:2] == ["--first-seed"]
     methods = sys.argv[1 + first_seed:] or sorted(d.name for d in FOLDER.iterdir() if d.is_dir())
+    unknown = [method for method in methods if not (FOLDER / method).is_dir()]
+    if unknown:
+        raise SystemExit(f"no outcomes of {unknown}; there are: {sorted(d.name for d in FOLDER.iterdir())}")
     tables = {method: outcomes(method, states=range(20, 27) if first_seed else None) for method in methods}
     for family, conditions in (("the seven", SEVEN), ("unseen", UNSEEN)):
         have = [m for m in methods if all(c in tables[m] for c in conditions)]
