@@ -68,6 +68,56 @@ Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first
   return label;
 }
 
+// What the policy would see now, and what the expert looks at; actions follow.
+absl::Status AddFrame(SimTask& task, const PolicySpec& spec, const ExpertDecision& decision,
+                      Demonstration& result) {
+  DemonstrationFrame frame;
+  frame.step = result.steps;
+  frame.aux = AuxOf(decision);
+  const auto drawing = std::chrono::steady_clock::now();
+  RS_ASSIGN_OR_RETURN(Observation observation, task.Observe(spec));
+  frame.proprioception = observation.proprioception;
+  for (CameraView& view : observation.views) frame.views.push_back(std::move(view.image));
+  result.render_seconds +=
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - drawing).count();
+  result.frames.push_back(std::move(frame));
+  return absl::OkStatus();
+}
+
+bool Finished(const SimTask& task, const Demonstration& result) {
+  return result.success || result.steps >= task.horizon();
+}
+
+absl::Status Execute(SimTask& task, const Eigen::VectorXf& command, Demonstration& result) {
+  RS_RETURN_IF_ERROR(task.Step(command));
+  ++result.steps;
+  result.success = task.Success();
+  return absl::OkStatus();
+}
+
+// A turn of the expert's, with frames. Its labels reach beyond the turn: a branch goes on from
+// there.
+absl::Status ExpertTurn(SimTask& task, const Expert& expert, const PolicySpec& spec, int stride,
+                        Demonstration& result) {
+  const size_t first = result.frames.size();
+  const int start = result.steps;
+  std::vector<Eigen::VectorXf> path;
+  for (int i = 0; i < kExpertTurn && !Finished(task, result); ++i) {
+    const ExpertDecision decision = expert();
+    if (i % stride == 0) RS_RETURN_IF_ERROR(AddFrame(task, spec, decision, result));
+    path.push_back(decision.command);
+    RS_RETURN_IF_ERROR(Execute(task, decision.command, result));
+  }
+  if (!result.success) {
+    RS_ASSIGN_OR_RETURN(const Eigen::MatrixXf beyond, BranchLabel(task, expert));
+    for (const auto& command : beyond.rowwise()) path.push_back(command.transpose());
+  }
+  for (size_t i = first; i < result.frames.size(); ++i) {
+    result.frames[i].actions = LabelFrom(path, result.frames[i].step - start);
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert,
@@ -81,29 +131,18 @@ absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert,
   recorded.cameras = {kAgentView, kWristView};
   recorded.image_width = recorded.image_height = options.image_size;
   std::vector<Eigen::VectorXf> path;
-  while (result.steps < task.horizon() && !result.success) {
+  while (!Finished(task, result)) {
     const ExpertDecision decision = expert();
     if (options.render && result.steps % options.stride == 0) {
-      DemonstrationFrame frame;
-      frame.step = result.steps;
-      frame.aux = AuxOf(decision);
+      RS_RETURN_IF_ERROR(AddFrame(task, recorded, decision, result));
       if (options.simulator_state) {
-        RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task.sim()));
+        RS_ASSIGN_OR_RETURN(result.frames.back().simulator, ReadSimulator(task.sim()));
       }
-      const auto drawing = std::chrono::steady_clock::now();
-      RS_ASSIGN_OR_RETURN(Observation observation, task.Observe(recorded));
-      frame.proprioception = observation.proprioception;
-      for (CameraView& view : observation.views) frame.views.push_back(std::move(view.image));
-      result.render_seconds +=
-          std::chrono::duration<double>(std::chrono::steady_clock::now() - drawing).count();
-      result.frames.push_back(std::move(frame));
     }
     path.push_back(decision.command);
     Eigen::VectorXf executed = noise.Disturb(decision.command);
     if (result.execution_sigma > 0) AddExecutionNoise(result.execution_sigma, execution, executed);
-    RS_RETURN_IF_ERROR(task.Step(executed));
-    ++result.steps;
-    result.success = task.Success();
+    RS_RETURN_IF_ERROR(Execute(task, executed, result));
   }
   for (DemonstrationFrame& frame : result.frames) frame.actions = LabelFrom(path, frame.step);
   return result;
@@ -123,31 +162,28 @@ absl::StatusOr<Eigen::MatrixXf> BranchLabel(SimTask& task, const Expert& expert)
 }
 
 absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert,
-                                           const EpisodeKey& key, double mix,
+                                           const EpisodeKey& key, const DaggerOptions& options,
                                            PolicyEndpoint& policy, RandomStream random) {
   RS_RETURN_IF_ERROR(policy.StartEpisode(key));
+  const PolicySpec& spec = policy.spec();
+  // Turns of the policy's whose mean length gives the expert its share.
+  const double hand_over =
+      options.mix / (1 - options.mix) * spec.execute_steps / static_cast<double>(kExpertTurn);
   Demonstration result;
-  for (int chunk = 0; result.steps < task.horizon() && !result.success; ++chunk) {
-    RS_ASSIGN_OR_RETURN(Observation observation, task.Observe(policy.spec()));
-    DemonstrationFrame frame;
-    frame.step = result.steps;
-    frame.proprioception = observation.proprioception;
-    frame.aux = AuxOf(expert());
-    RS_ASSIGN_OR_RETURN(frame.actions, BranchLabel(task, expert));
-    const bool expert_drives = random.Uniform() < mix;
-    Eigen::MatrixXf actions = frame.actions;
-    if (!expert_drives) {
-      RS_ASSIGN_OR_RETURN(PredictedChunk predicted, policy.Predict(observation, chunk));
-      actions = std::move(predicted.actions);
+  bool expert_drives = random.Uniform() < options.mix;
+  for (int chunk = 0; !Finished(task, result);) {
+    if (expert_drives) {
+      RS_RETURN_IF_ERROR(ExpertTurn(task, expert, spec, options.stride, result));
+      expert_drives = false;
+      continue;
     }
-    for (CameraView& view : observation.views) frame.views.push_back(std::move(view.image));
-    result.frames.push_back(std::move(frame));
-    const int rows = std::min<int>(policy.spec().execute_steps, static_cast<int>(actions.rows()));
-    for (int i = 0; i < rows && result.steps < task.horizon() && !result.success; ++i) {
-      RS_RETURN_IF_ERROR(task.Step(actions.row(i).transpose()));
-      ++result.steps;
-      result.success = task.Success();
+    RS_ASSIGN_OR_RETURN(const Observation observation, task.Observe(spec));
+    RS_ASSIGN_OR_RETURN(const PredictedChunk predicted, policy.Predict(observation, chunk++));
+    const int rows = std::min<int>(spec.execute_steps, static_cast<int>(predicted.actions.rows()));
+    for (int i = 0; i < rows && !Finished(task, result); ++i) {
+      RS_RETURN_IF_ERROR(Execute(task, predicted.actions.row(i).transpose(), result));
     }
+    expert_drives = random.Uniform() < hand_over;
   }
   return result;
 }

@@ -15,6 +15,7 @@
 namespace robostress {
 
 inline constexpr int kLabelSteps = 50;  // rows of a label, the policies' horizon
+inline constexpr int kExpertTurn = 40;  // control steps that the expert drives in DAgger at a time
 
 // One observation with what the expert would do from there.
 struct DemonstrationFrame {
@@ -59,11 +60,18 @@ struct RecordOptions {
 absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert,
                                            const RecordOptions& options, const StreamKey& key);
 
-// The policy drives, from the state to which `task` was reset; with chance `mix` a chunk is the
-// expert's. A frame per chunk; its label is the expert's rollout on a branch of the simulation from
-// that state (DAgger).
+struct DaggerOptions {
+  double mix = 0.5;  // the expert's share of the driving, in (0, 1)
+  int stride = 2;    // control steps between frames
+};
+
+// The policy and the expert drive in turns, from the state to which `task` was reset; the expert's
+// take kExpertTurn control steps, the policy's a geometric number of chunks. Frames are of the
+// expert's turns, which start where the policy got to; a label is what the expert does from there,
+// on a branch of the simulation where the turn ends before it (after DAgger). Ends at success or at
+// the horizon.
 absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert,
-                                           const EpisodeKey& key, double mix,
+                                           const EpisodeKey& key, const DaggerOptions& options,
                                            PolicyEndpoint& policy, RandomStream random);
 
 // The expert's next kLabelSteps commands from the present state, which is restored.

@@ -29,7 +29,7 @@ constexpr char kExamples[] =
     "\nExamples\n"
     "  robostress record --suite tabletop_goal --episodes 40 --out data/demos --workers 2\n"
     "  robostress record --suite all --eval --episodes 20 --first-draw 0 --workers 2\n"
-    "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.3 "
+    "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.5 "
     "--episodes 10 --out data/dagger1\n"
     "  robostress record --suite all --execution-noise 0.05 --out data/dr          domain "
     "randomisation\n"
@@ -50,7 +50,7 @@ struct CommandLine {
   std::vector<std::string> folder_suites;  // their suites
   std::string out, server, policy = "nano", scenario = "clean", tag = "expert";
   int severity = 5;
-  double mix = 0.3;
+  double mix = DaggerOptions().mix;
   bool eval = false, plain = false;
   std::string format = "shards";
   RecordOptions record;
@@ -196,8 +196,8 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   std::string failed, no_room;
   double render = 0;
   const double start = Now(), cpu_start = CpuSeconds();
-  // A demonstration that fails teaches nothing: the next draw replaces it, up to twice as many
-  // draws. What a policy drove into is kept either way.
+  // An episode that fails teaches nothing, nor does one in which the expert never drove: the next
+  // draw replaces it, up to twice as many draws.
   int kept = 0, draws = 0, played = 0;
   for (; kept < line.episodes && draws < 2 * line.episodes; ++draws) {
     const int draw = line.first_draw + draws;
@@ -210,16 +210,16 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
     const StreamKey key =
         StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw);
     absl::StatusOr<Demonstration> episode =
-        policy != nullptr
-            ? RecordDagger(*task, expert, {job.task, draw}, line.mix, *policy, RandomStream(key))
-            : RecordExpert(*task, expert, options, key);
+        policy != nullptr ? RecordDagger(*task, expert, {job.task, draw},
+                                         {line.mix, options.stride}, *policy, RandomStream(key))
+                          : RecordExpert(*task, expert, options, key);
     RS_RETURN_IF_ERROR(episode.status());
     ++played;
     successes += episode->success;
     steps += episode->steps;
     render += episode->render_seconds;
     if (!episode->success) absl::StrAppend(&failed, " ", draw);
-    if (!line.eval && policy == nullptr && !episode->success) continue;
+    if (!line.eval && (!episode->success || episode->frames.empty())) continue;
     ++kept;
     if (file.has_value()) RS_RETURN_IF_ERROR(file->Add(draw, *episode));
   }
@@ -337,10 +337,10 @@ int main(int argc, char** argv) {
       ->check(robostress::cli::Range(1, 5))
       ->capture_default_str();
   app.add_option("--server", line.server,
-                 "HOST:PORT of a policy that drives while the expert labels (DAgger)");
+                 "HOST:PORT of a policy that drives in turns with the expert (DAgger)");
   app.add_option("--policy", line.policy, "Which of the server's policies")->capture_default_str();
-  app.add_option("--mix", line.mix, "Chance that the expert drives a chunk (DAgger)")
-      ->check(robostress::cli::Range(0.0, 1.0))
+  app.add_option("--mix", line.mix, "The expert's share of the driving (DAgger)")
+      ->check(robostress::cli::Range(0.05, 0.95))
       ->capture_default_str();
   app.add_flag("--plain-pictures", line.plain,
                "LIBERO's views drawn quickly, as sim.pictures=plain does in a sweep");

@@ -105,6 +105,111 @@ TEST(Record, BranchLabelIsTheExpertsFutureAndLeavesNoTrace) {
   EXPECT_EQ(task->Proprioception(), untouched->Proprioception());
 }
 
+// Pushes the hand aside for ever, and counts the chunks that it was asked for.
+class PushesAside : public PolicyEndpoint {
+ public:
+  PushesAside() {
+    spec_.cameras = {"agentview", "robot0_eye_in_hand"};
+    spec_.image_width = spec_.image_height = 16;
+  }
+  const PolicySpec& spec() const override { return spec_; }
+  absl::Status StartEpisode(const EpisodeKey&) override { return absl::OkStatus(); }
+  absl::StatusOr<PredictedChunk> Predict(const Observation&, int chunk) override {
+    EXPECT_EQ(chunk, chunks++);
+    PredictedChunk predicted;
+    predicted.actions = Eigen::MatrixXf::Zero(50, 7);
+    predicted.actions.col(1).setConstant(0.6f);
+    predicted.actions.col(6).setConstant(-1);
+    return predicted;
+  }
+  absl::Status SendFeedback(ExecutedChunk) override { return absl::OkStatus(); }
+  absl::StatusOr<SessionStats> Stats() override { return SessionStats(); }
+  int chunks = 0;
+
+ private:
+  PolicySpec spec_;
+};
+
+absl::StatusOr<Demonstration> RecordPushed(double mix, int stream, int& chunks) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  if (const absl::Status reset = task->Reset(1003); !reset.ok()) return reset;
+  PushesAside policy;
+  absl::StatusOr<Demonstration> episode =
+      RecordDagger(*task, task->MakeExpert().value(), {4, 1003}, {mix, /*stride=*/2}, policy,
+                   RandomStream(TestKey(stream)));
+  chunks = policy.chunks;
+  return episode;
+}
+
+TEST(Record, InDaggerTheExpertsTurnsStartWhereThePolicyGotTo) {
+  int chunks = 0, expert_first = 0, policy_first = 0;
+  for (int stream = 0; stream < 8; ++stream) {
+    const absl::StatusOr<Demonstration> episode = RecordPushed(0.8, stream, chunks);
+    if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+    ASSERT_TRUE(episode.ok()) << episode.status();
+    ASSERT_FALSE(episode->frames.empty());
+    // Five steps a chunk are the policy's, every second one of the expert's has a frame.
+    EXPECT_NEAR(5 * chunks + 2 * static_cast<int>(episode->frames.size()), episode->steps, 5);
+    EXPECT_GT(chunks, 0);
+    (episode->frames.front().step == 0 ? expert_first : policy_first) += 1;
+    for (size_t i = 1; i < episode->frames.size(); ++i) {
+      const DemonstrationFrame &before = episode->frames[i - 1], &frame = episode->frames[i];
+      if (frame.step - before.step == 2) {
+        EXPECT_EQ(before.actions.row(2), frame.actions.row(0)) << "stream " << stream;
+      } else {
+        EXPECT_EQ((frame.step - before.step - 2) % 5, 0) << "whole chunks lie between";
+        EXPECT_GT(frame.proprioception[1], before.proprioception[1]) << "the policy pushed";
+      }
+    }
+  }
+  EXPECT_GT(expert_first, 0);
+  EXPECT_GT(policy_first, 0);
+}
+
+// The last frame of a turn is labelled with what the expert would have gone on to do.
+TEST(Record, InDaggerALabelReachesBeyondTheTurn) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  ASSERT_TRUE(task->Reset(1003).ok());
+  std::vector<Eigen::VectorXf> path;
+  while (static_cast<int>(path.size()) < 90 && !task->Success()) {
+    path.push_back(task->Decide().command);
+    ASSERT_TRUE(task->Step(path.back()).ok());
+  }
+  ASSERT_GT(static_cast<int>(path.size()), kExpertTurn + 4);
+  int chunks = 0;
+  for (int stream = 0; stream < 8; ++stream) {
+    const absl::StatusOr<Demonstration> episode = RecordPushed(0.8, stream, chunks);
+    if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+    ASSERT_TRUE(episode.ok()) << episode.status();
+    if (episode->frames.front().step != 0) continue;
+    const DemonstrationFrame& last = episode->frames[kExpertTurn / 2 - 1];
+    ASSERT_EQ(last.step, kExpertTurn - 2);
+    for (int row = 0; last.step + row < static_cast<int>(path.size()); ++row) {
+      EXPECT_EQ(last.actions.row(row).transpose(), path[last.step + row]) << "row " << row;
+    }
+    return;
+  }
+  FAIL() << "the expert never drove first";
+}
+
+// At an even share the policy's turns are as long as the expert's, in the mean.
+TEST(Record, InDaggerTheExpertHasItsShare) {
+  double steps = 0, turns = 0;
+  for (int stream = 0; stream < 16; ++stream) {
+    int chunks = 0;
+    const absl::StatusOr<Demonstration> episode = RecordPushed(0.5, stream, chunks);
+    if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+    ASSERT_TRUE(episode.ok()) << episode.status();
+    steps += 5 * chunks;
+    int expert_until = 0;
+    for (const DemonstrationFrame& frame : episode->frames) {
+      turns += frame.step > expert_until;
+      expert_until = frame.step + 2;
+    }
+  }
+  EXPECT_NEAR(steps / turns, kExpertTurn, 12) << turns << " turns";
+}
+
 TEST(Record, LiberosFormHoldsTheEpisode) {
   const auto task = MakeTask("tabletop_goal", 4);
   RecordOptions options;
