@@ -93,22 +93,25 @@ void LiberoColumns::Add(const SimulatorRow& row) {
 absl::StatusOr<LiberoDemonstrationWriter> LiberoDemonstrationWriter::Create(const std::string& path,
                                                                             const Task& task) {
   RS_ASSIGN_OR_RETURN(Hdf5File file, Hdf5File::Create(path));
-  const nlohmann::json problem = {{"problem_name", task.suite},
+  const std::string name = task.problem.empty() ? task.suite : task.problem;
+  const std::string bddl = absl::StrCat(
+      task.problem.empty() ? "" : absl::StrCat("bddl_files/", task.suite, "/"), task.task, ".bddl");
+  const nlohmann::json problem = {{"problem_name", name},
                                   {"domain_name", "robosuite"},
                                   {"language_instruction", task.instruction}};
   nlohmann::json env_args = {{"type", 1},
-                             {"env_name", task.suite},
-                             {"problem_name", task.suite},
-                             {"bddl_file", task.task + ".bddl"},
+                             {"env_name", name},
+                             {"problem_name", name},
+                             {"bddl_file", bddl},
                              {"env_kwargs", {{"control_freq", task.control_hz}}}};
   if (task.absolute_actions)
     env_args["env_kwargs"]["controller_configs"] = {{"type", "JOINT_POSITION"},
                                                     {"control_delta", false}};
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "tag", std::string("robostress")));
-  RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_name", task.suite));
+  RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_name", name));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_args", env_args.dump()));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "problem_info", problem.dump()));
-  RS_RETURN_IF_ERROR(file.SetAttribute("data", "bddl_file_name", task.task + ".bddl"));
+  RS_RETURN_IF_ERROR(file.SetAttribute("data", "bddl_file_name", bddl));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "macros_image_convention", std::string("opengl")));
   return LiberoDemonstrationWriter(std::move(file));
 }
@@ -159,6 +162,8 @@ absl::Status LiberoDemonstrationWriter::Add(const LiberoDemonstration& demonstra
   RS_RETURN_IF_ERROR(file_.WriteBytes(group + "/rewards", {steps}, last));
   RS_RETURN_IF_ERROR(file_.SetAttribute(group, "num_samples", steps));
   RS_RETURN_IF_ERROR(file_.SetAttribute(group, "model_file", demonstration.model_file));
+  if (demonstration.initial_state.has_value())
+    RS_RETURN_IF_ERROR(file_.SetAttribute(group, "initial_state", *demonstration.initial_state));
   RS_RETURN_IF_ERROR(file_.SetAttribute(
       group, "init_state",
       absl::MakeConstSpan(columns.states).subspan(0, columns.states.size() / steps)));

@@ -16,7 +16,8 @@ namespace robostress {
 // Demonstrations of one task in LIBERO's HDF5 form (scripts/create_dataset.py):
 //   /data            attributes env_name, env_args, problem_info (JSON with language_instruction),
 //                    bddl_file_name, macros_image_convention, num_demos, total
-//   /data/demo_<i>   attributes num_samples, model_file (MJCF), init_state
+//   /data/demo_<i>   attributes num_samples, model_file (MJCF, fixtures where they stood),
+//   init_state
 //     actions [T,7], states [T,n] (time, qpos, qvel), robot_states [T,9] (fingers, position,
 //     quaternion x y z w), rewards [T], dones [T] (1 in the last row
 //     only; without success no reward is)
@@ -26,6 +27,7 @@ namespace robostress {
 // Added by this project where a demonstration has them, ignored by LIBERO's readers:
 //     obs/proprioception [T,8]  what the policy is given, where that is not ee_pos, ee_ori, fingers
 //     obs/aux            [T,8]  targets of nano's auxiliary head
+//     attribute initial_state   which of the task's initial states, or which draw
 //     actions_sent, actions_measured [T,7]  what was sent for `actions`, and what the arm did
 // env_args, env_kwargs, controller_configs, control_delta says, as robosuite has it, whether
 // actions are displacements (true, or nothing said: LIBERO's) or absolute targets (false). In
@@ -48,6 +50,7 @@ struct LiberoDemonstration {
   LiberoColumns columns;
   std::vector<Image> agentview, eye_in_hand;  // T each, one size
   std::string model_file;
+  std::optional<int64_t> initial_state;
   bool success = true;
 };
 
@@ -58,6 +61,9 @@ class LiberoDemonstrationWriter {
     std::string suite, task, instruction;
     int control_hz = 20;
     bool absolute_actions = false;  // targets, not displacements
+    // LIBERO's class of the scene, by which its readers make an environment; empty: none of
+    // LIBERO's.
+    std::string problem = {};
   };
   static absl::StatusOr<LiberoDemonstrationWriter> Create(const std::string& path,
                                                           const Task& task);

@@ -4,6 +4,8 @@
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
 
 namespace robostress {
 namespace {
@@ -21,7 +23,12 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
   read.suite = path.filename().string();
   for (fs::directory_iterator entry(path, error), end; !error && entry != end;
        entry.increment(error)) {
-    if (entry->path().extension() == ".bddl") read.tasks.push_back(entry->path().stem().string());
+    const fs::path& file = entry->path();
+    std::error_code ignored;
+    // Archives leave files such as ._task.bddl.
+    if (file.extension() == ".bddl" && !file.filename().string().starts_with('.') &&
+        fs::is_regular_file(file, ignored))
+      read.tasks.push_back(file.stem().string());
   }
   if (error) return absl::NotFoundError(absl::StrCat(folder, ": ", error.message()));
   if (read.tasks.empty()) {
@@ -29,15 +36,22 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
         folder,
         ": no .bddl file in it; give a folder of LIBERO tasks such as bddl_files/libero_90"));
   }
+  read.real_path = fs::canonical(path, error).string();
+  if (error) return absl::NotFoundError(absl::StrCat(folder, ": ", error.message()));
   std::sort(read.tasks.begin(), read.tasks.end());
   return read;
 }
 
+std::string LiberoTaskFolder::SuiteOfFiles() const {
+  return fs::path(real_path).filename().string();
+}
+
 std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& task) {
   std::vector<fs::path> places = {folder.path};
-  const fs::path above = fs::path(folder.path).parent_path();
-  if (above.filename() == "bddl_files")
-    places.push_back(above.parent_path() / "init_files" / folder.suite);
+  for (const fs::path path : {folder.path, folder.real_path}) {
+    if (path.parent_path().filename() == "bddl_files")
+      places.push_back(path.parent_path().parent_path() / "init_files" / path.filename());
+  }
   std::error_code ignored;
   for (const fs::path& place : places) {
     for (const char* ending : {".pruned_init", ".pruned_init.npz", ".init", ".init.npz"}) {
@@ -46,6 +60,23 @@ std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& t
     }
   }
   return "";
+}
+
+absl::StatusOr<std::string> LiberoTasksSha256(const std::string& folder) {
+  RS_ASSIGN_OR_RETURN(const LiberoTaskFolder read, ReadLiberoTaskFolder(folder));
+  std::string hashes;
+  for (const std::string& task : read.tasks) {
+    const std::string states = InitialStatesOf(read, task);
+    RS_ASSIGN_OR_RETURN(const std::string of_task,
+                        Sha256OfFile(absl::StrCat(read.path, "/", task, ".bddl")));
+    absl::StrAppend(&hashes, task, " ", of_task, " ");
+    if (!states.empty()) {
+      RS_ASSIGN_OR_RETURN(const std::string of_states, Sha256OfFile(states));
+      absl::StrAppend(&hashes, of_states);
+    }
+    hashes += '\n';
+  }
+  return Sha256Hex(hashes);
 }
 
 }  // namespace robostress

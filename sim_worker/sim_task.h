@@ -26,7 +26,10 @@ class SimTask : public Robot {
   virtual const std::string& name() const = 0;
   virtual const std::string& instruction() const = 0;
   virtual PandaSim& sim() = 0;
-  virtual const std::string& mjcf() const = 0;  // what the scene was compiled from
+  // What the scene is compiled from, with everything where the last reset put it.
+  virtual std::string mjcf() const = 0;
+  // LIBERO's class of the scene, "libero_tabletop_manipulation"; empty: none of LIBERO's.
+  virtual std::string problem() const { return ""; }
   // The scripted expert; it reads this task, which must outlive it. Unimplemented where there is
   // none; the message says what it lacks.
   virtual absl::StatusOr<Expert> MakeExpert() = 0;

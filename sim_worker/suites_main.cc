@@ -42,13 +42,16 @@ UnitConfig UnitOf(const CommandLine& line, const SuiteInfo& info) {
 }
 
 // Empty for a suite whose tasks this build does not know.
-std::vector<LiberoTaskLine> TasksOf(const CommandLine& line, const SuiteInfo& info) {
+// None of LIBERO's own suites where LIBERO is not there.
+absl::StatusOr<std::vector<LiberoTaskLine>> TasksOf(const CommandLine& line,
+                                                    const SuiteInfo& info) {
   std::vector<LiberoTaskLine> tasks;
   if (const SuiteSpec* spec = FindSuiteSpec(info.name)) {
     for (const TaskSpec& task : spec->tasks)
       tasks.push_back({TaskName(task.instruction), task.instruction});
   } else if (info.needs_libero) {
-    if (auto found = LiberoTaskLines(UnitOf(line, info)); found.ok()) tasks = *std::move(found);
+    absl::StatusOr<std::vector<LiberoTaskLine>> found = LiberoTaskLines(UnitOf(line, info));
+    if (found.ok() || !TaskFolderOf(info.name).empty()) return found;
   }
   return tasks;
 }
@@ -63,19 +66,21 @@ std::vector<SuiteInfo> Suites(const CommandLine& line) {
   return suites;
 }
 
-void PrintText(const CommandLine& line) {
+absl::Status PrintText(const CommandLine& line) {
   for (const SuiteInfo& info : Suites(line)) {
     std::printf("%s  (%s, %d tasks, horizon %d, %d initial states%s%s)\n", info.name.c_str(),
                 info.title.c_str(), info.num_tasks, info.horizon, info.num_initial_states,
                 info.needs_libero ? ", needs `robostress libero setup`" : "",
                 info.robot == "panda" ? "" : absl::StrCat(", --robot ", info.robot).c_str());
     int number = 0;
-    for (const LiberoTaskLine& task : TasksOf(line, info))
+    RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, TasksOf(line, info));
+    for (const LiberoTaskLine& task : tasks)
       std::printf("  %d  %s\n", number++, task.instruction.c_str());
   }
+  return absl::OkStatus();
 }
 
-void PrintJson(const CommandLine& line) {
+absl::Status PrintJson(const CommandLine& line) {
   nlohmann::json out = nlohmann::json::array();
   for (const SuiteInfo& info : Suites(line)) {
     nlohmann::json suite = {{"name", info.name},
@@ -85,11 +90,13 @@ void PrintJson(const CommandLine& line) {
                             {"num_initial_states", info.num_initial_states},
                             {"needs_libero", info.needs_libero},
                             {"robot", info.robot}};
-    for (const LiberoTaskLine& task : TasksOf(line, info))
+    RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, TasksOf(line, info));
+    for (const LiberoTaskLine& task : tasks)
       suite["tasks"].push_back({{"name", task.name}, {"instruction", task.instruction}});
     out.push_back(suite);
   }
   std::printf("%s\n", out.dump(2).c_str());
+  return absl::OkStatus();
 }
 
 // FOLDER/SUITE.svg of the suite that was asked for, of LIBERO's or of every embedded one.
@@ -126,13 +133,11 @@ int Run(CommandLine& line) {
                  line.suite.c_str());
     return 2;
   }
-  if (!line.sheets.empty()) {
-    const absl::Status status = WriteSheets(line);
-    if (!status.ok()) std::fprintf(stderr, "suites: %s\n", std::string(status.message()).c_str());
-    return status.ok() ? 0 : 1;
-  }
-  line.json ? PrintJson(line) : PrintText(line);
-  return 0;
+  const absl::Status status = !line.sheets.empty() ? WriteSheets(line)
+                              : line.json          ? PrintJson(line)
+                                                   : PrintText(line);
+  if (!status.ok()) std::fprintf(stderr, "suites: %s\n", std::string(status.message()).c_str());
+  return status.ok() ? 0 : 1;
 }
 
 }  // namespace

@@ -378,6 +378,12 @@ absl::Status LerobotDataset::WriteTables(const Json& info) const {
 }
 
 absl::Status LerobotDataset::Append(const LerobotEpisode& episode) {
+  if (::getpid() != lock_.get_deleter().owner) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(directory_,
+                     " was opened by the process that this one was forked from, and there is one "
+                     "recorder a folder; open another folder here, or record there"));
+  }
   Json info = info_;
   RS_RETURN_IF_ERROR(CheckSizes(episode, schema_, directory_, &info));
   const int64_t index = episodes(), first = frames();

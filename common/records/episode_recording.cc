@@ -123,6 +123,8 @@ absl::StatusOr<EpisodeRecording> RecordingOf(const SafetensorsFile& file) {
   MetadataReader metadata(file);
   VisitMetadata(recording, metadata);
   RS_RETURN_IF_ERROR(metadata.status);
+  const auto problem = file.metadata().find("problem");  // absent before 0.2
+  if (problem != file.metadata().end()) recording.problem = problem->second;
   RS_ASSIGN_OR_RETURN(const std::vector<float> commanded,
                       file.ReadFloats("commanded", {-1, kAction}));
   const auto rows = static_cast<int64_t>(commanded.size()) / kAction;
@@ -185,6 +187,7 @@ absl::Status WriteEpisodeRecording(const EpisodeRecording& recording, const std:
     writer.SetMetadata(key, absl::StrCat(value));
   };
   VisitMetadata(recording, metadata);
+  if (!recording.problem.empty()) metadata("problem", recording.problem);
   const auto rows = static_cast<int64_t>(recording.steps.size());
   using Step = EpisodeRecording::Step;
   const auto floats = [&](const char* name, int64_t width, Eigen::VectorXf Step::*member) {

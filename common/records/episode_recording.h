@@ -34,11 +34,12 @@ struct EpisodeRecording {
     SimulatorRow simulator;
   };
   std::string suite, scenario, policy, method, task_name, instruction;
+  std::string problem;  // LIBERO's class of the scene; empty: none of LIBERO's
   int severity = 5, task = 0, episode = 0, initial_state = 0;
   int64_t seed = 0;
   bool success = false;
   double rate_hz = 20;
-  std::string model_file;  // the scene as MJCF
+  std::string model_file;  // the scene as MJCF, as it was in this episode
   std::vector<Step> steps;
   std::vector<std::string> cameras;
   std::vector<std::vector<std::string>> pictures;  // [camera][step] PNG, before the step

@@ -186,13 +186,16 @@ absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::str
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
   const json present = json::parse(text, nullptr, false);
-  const auto scenario = notes.find(kScenarioSha256);
-  const std::string played = TextAt(present, kScenarioSha256);
-  if (scenario != notes.end() && !played.empty() && played != scenario->second) {
+  for (const auto& [key, what] : {std::pair{kScenarioSha256, "a scenario file"},
+                                  {kLiberoTasksSha256, "a folder of LIBERO tasks"},
+                                  {kLiberoFixturesSha256, "a table of LIBERO's fixtures"}}) {
+    const auto now = notes.find(key);
+    const std::string played = TextAt(present, key);
+    if (now == notes.end() || played.empty() || played == now->second) continue;
     return absl::FailedPreconditionError(
-        absl::StrCat("'", path_, "' was begun with a scenario file whose SHA-256 begins ",
-                     played.substr(0, 12), ", now it begins ", scenario->second.substr(0, 12),
-                     "; restore the file, choose another --out or remove the directory"));
+        absl::StrCat("'", path_, "' was begun with ", what, " whose SHA-256 begins ",
+                     played.substr(0, 12), ", now it begins ", now->second.substr(0, 12),
+                     "; restore it, choose another --out or remove the directory"));
   }
   const std::string begun = TextAt(present, "model_hash");
   if (begun == model_hash) return absl::OkStatus();

@@ -13,13 +13,16 @@
 
 namespace robostress {
 
-// The key of provenance.json that a unit of a scenario file has.
+// Keys of provenance.json, of units that were played from files which a name alone does not tell: a
+// scenario file, a folder of LIBERO tasks, a table of where LIBERO's fixtures stand.
 inline constexpr char kScenarioSha256[] = "scenario_sha256";
+inline constexpr char kLiberoTasksSha256[] = "libero_tasks_sha256";
+inline constexpr char kLiberoFixturesSha256[] = "libero_fixtures_sha256";
 
 // The files of one unit, and what makes them resumable:
 //
 //   config.yaml               resolved configuration; another unit's directory is refused
-//   provenance.json           policy, version of the worker, hashes of weights and scenario file
+//   provenance.json           policy, version of the worker, hashes of weights and files
 //   servers.jsonl             who answered, where somebody else serves the policy (server_row.h)
 //   episodes.jsonl            one row per finished episode, durable when written
 //   timing.jsonl              wall times, apart because they never repeat
@@ -49,7 +52,7 @@ class UnitDirectory {
   size_t episodes() const { return rows_.size(); }
 
   // Writes provenance.json, or refuses to continue with another model than the one that began, or
-  // with another scenario file where `notes` has its hash.
+  // with other files where `notes` has their hash.
   // `notes`: further keys of it.
   absl::Status CheckModel(const std::string& policy, const std::string& model_hash,
                           const std::map<std::string, std::string>& notes = {});

@@ -10,6 +10,8 @@
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/libero_fixtures.h"
+#include "common/libero_task_folder.h"
 #include "common/records/json_record.h"
 #include "common/records/server_row.h"
 #include "common/status_macros.h"
@@ -41,9 +43,7 @@ class UnitRun {
     }
     RS_ASSIGN_OR_RETURN(const std::string model_hash, player_.Open());
     std::map<std::string, std::string> notes = player_.Provenance();
-    if (IsScenarioFile(unit_.scenario)) {
-      RS_ASSIGN_OR_RETURN(notes[kScenarioSha256], Sha256OfFile(unit_.scenario));
-    }
+    RS_RETURN_IF_ERROR(NoteFiles(notes));
     RS_RETURN_IF_ERROR(directory_->CheckModel(unit_.policy, model_hash, notes));
     RS_RETURN_IF_ERROR(Resume());
     while (directory_->episodes() < plan_.size())
@@ -56,6 +56,20 @@ class UnitRun {
   absl::StatusOr<std::optional<std::string>> Export() {
     if (!unit_.method->adapts()) return std::nullopt;
     return player_.Export();
+  }
+
+  absl::Status NoteFiles(std::map<std::string, std::string>& notes) const {
+    if (IsScenarioFile(unit_.scenario)) {
+      RS_ASSIGN_OR_RETURN(notes[kScenarioSha256], Sha256OfFile(unit_.scenario));
+    }
+    if (!unit_.libero_tasks.empty()) {
+      RS_ASSIGN_OR_RETURN(notes[kLiberoTasksSha256], LiberoTasksSha256(unit_.libero_tasks));
+    }
+    RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit_.libero_fixtures));
+    if (!fixtures.table.empty()) {
+      RS_ASSIGN_OR_RETURN(notes[kLiberoFixturesSha256], Sha256OfFile(fixtures.table));
+    }
+    return absl::OkStatus();
   }
 
   absl::Status Resume() {

@@ -105,7 +105,10 @@ absl::Status AppendTo(LerobotDataset& dataset, EpisodeRecording recording,
 LiberoDemonstration ToLibero(const EpisodeRecording& recording,
                              std::vector<std::vector<Image>> images) {
   LiberoDemonstration demonstration;
+  // What LIBERO's suites show a policy is what LIBERO stores, mirrored.
+  const bool libero = !recording.problem.empty();
   demonstration.model_file = recording.model_file;
+  demonstration.initial_state = recording.initial_state;
   demonstration.success = recording.success;
   LiberoColumns& columns = demonstration.columns;
   columns.steps = static_cast<int64_t>(recording.steps.size());
@@ -116,9 +119,12 @@ LiberoDemonstration ToLibero(const EpisodeRecording& recording,
     append(columns.actions, step.commanded);
     append(columns.sent, step.sent);
     append(columns.measured, step.measured);
-    append(columns.proprioception, step.proprioception);
+    if (!libero) append(columns.proprioception, step.proprioception);
     columns.Add(step.simulator);
   }
+  for (std::vector<Image>& views : images)
+    for (Image& view : views)
+      if (libero) view = MirrorColumns(view);
   demonstration.agentview = std::move(images[0]);
   demonstration.eye_in_hand = std::move(images[1]);
   return demonstration;
@@ -224,8 +230,11 @@ class Targets {
     if (at == libero_.end()) {
       RS_ASSIGN_OR_RETURN(LiberoDemonstrationWriter writer,
                           LiberoDemonstrationWriter::Create(
-                              path, {recording.suite, recording.task_name, recording.instruction,
-                                     static_cast<int>(recording.rate_hz)}));
+                              path, {.suite = recording.suite,
+                                     .task = recording.task_name,
+                                     .instruction = recording.instruction,
+                                     .control_hz = static_cast<int>(recording.rate_hz),
+                                     .problem = recording.problem}));
       at = libero_.emplace(path, std::move(writer)).first;
     }
     return at->second.Add(ToLibero(recording, images));

@@ -13,12 +13,16 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/libero_task_folder.h"
 #include "common/unit/robots.h"
+#include "common/unit/unit_directory.h"
 #include "eval/plan/plan.h"
 
 namespace robostress {
 namespace {
+
+constexpr char kPlayed[] = "sha256 ";  // before the hash of what a unit was played with
 
 void Flatten(const YAML::Node& node, const std::string& path, FlatOptions& options) {
   if (node.IsMap()) {
@@ -36,24 +40,19 @@ void Flatten(const YAML::Node& node, const std::string& path, FlatOptions& optio
   }
 }
 
-// A path says where a file lies on somebody's machine; its content decides.
+// A path says where a file lies on somebody's machine; its content decides, as it was when the unit
+// was played where that is known.
 std::string FileOrWord(const std::string& value) {
+  if (absl::StartsWith(value, kPlayed)) return value;
   if (value.find('/') == std::string::npos && !absl::EndsWith(value, ".json")) return value;
   const absl::StatusOr<std::string> hash = Sha256OfFile(value);
-  return absl::StrCat("file ", hash.ok() ? hash->substr(0, 16) : "that is gone");
+  return hash.ok() ? absl::StrCat(kPlayed, *hash) : "that is gone";
 }
 
-// Of a task folder what decides is in its tasks and their initial states.
 std::string TaskFolderHash(const std::string& path) {
-  const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
-  if (!folder.ok()) return "folder that is gone";
-  std::string hashes;
-  for (const std::string& task : folder->tasks) {
-    for (const std::string& file :
-         {absl::StrCat(folder->path, "/", task, ".bddl"), InitialStatesOf(*folder, task)})
-      absl::StrAppend(&hashes, Sha256OfFile(file).value_or("none"), "\n");
-  }
-  return absl::StrCat("folder ", Sha256Hex(hashes).substr(0, 16));
+  if (absl::StartsWith(path, kPlayed)) return path;
+  const absl::StatusOr<std::string> hash = LiberoTasksSha256(path);
+  return hash.ok() ? absl::StrCat(kPlayed, *hash) : "that is gone";
 }
 
 // A unit without what ProtocolOf leaves out.
@@ -148,6 +147,26 @@ class ValueText {
 };
 
 }  // namespace
+
+UnitConfig WithPlayedFiles(UnitConfig config, const nlohmann::json& provenance) {
+  for (const auto& [key, value] : {std::pair{kLiberoTasksSha256, &config.libero_tasks},
+                                   std::pair{kLiberoFixturesSha256, &config.libero_fixtures}}) {
+    const std::string played = TextAt(provenance, key);
+    if (!played.empty()) *value = absl::StrCat(kPlayed, played);
+  }
+  return config;
+}
+
+UnitConfig PresentFiles::Of(UnitConfig config) {
+  const auto once = [&](std::string& value, std::string (*hash)(const std::string&)) {
+    const auto [known, fresh] = known_.try_emplace(value);
+    if (fresh) known->second = hash(value);
+    value = known->second;
+  };
+  if (!config.libero_tasks.empty()) once(config.libero_tasks, TaskFolderHash);
+  once(config.libero_fixtures, FileOrWord);
+  return config;
+}
 
 FlatOptions FlatOptionsOf(const std::string& yaml) {
   FlatOptions options;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <nlohmann/json.hpp>
 #include <set>
 #include <string>
 #include <vector>
@@ -18,6 +19,18 @@ FlatOptions FlatOptionsOf(const std::string& yaml);
 // where none does.
 std::string FirstDifference(const FlatOptions& a, const std::string& in_a, const FlatOptions& b,
                             const std::string& in_b);
+
+// A unit's configuration whose task folder and table of fixtures stand by the hash of what was in
+// them when it was played, where its provenance.json has that: they may have changed since.
+UnitConfig WithPlayedFiles(UnitConfig config, const nlohmann::json& provenance);
+// The same by what is in them now; each is read once.
+class PresentFiles {
+ public:
+  UnitConfig Of(UnitConfig config);
+
+ private:
+  std::map<std::string, std::string> known_;
+};
 
 // What decides an outcome of the unit beside scenario, severity, policy, method and seed. A path
 // stands by its file's hash.

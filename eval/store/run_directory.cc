@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <tuple>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -74,6 +75,11 @@ std::string RunDirectory::KeptScenario(const std::string& scenario) const {
   return absl::StrCat(path_, "/scenarios/", ScenarioLabel(scenario), ".yaml");
 }
 
+nlohmann::json RunDirectory::Provenance(const std::string& id) const {
+  return nlohmann::json::parse(ReadFile(Unit(id) + "/provenance.json").value_or(""), nullptr,
+                               false);
+}
+
 UnitConfig RunDirectory::AsPlayed(UnitConfig config) const {
   if (IsScenarioFile(config.scenario))
     config.scenario = fs::absolute(KeptScenario(config.scenario)).lexically_normal().string();
@@ -89,14 +95,26 @@ absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
   UnitTexts texts;
   UnitTextReader reader;
   PlayedAlike alike;  // the units that this command adds
+  PresentFiles present_files;
+  std::set<std::string> changed;  // of them
   bool adds = false;
   for (const PlannedUnit& unit : units) {
     ids.insert(unit.id);
     others.erase(unit.id);
     if (started.count(unit.id) == 0 || !Begun(unit.id)) {
       adds = true;
-      alike.Add(AsPlayed(unit.config), kHere);
+      alike.Add(present_files.Of(AsPlayed(unit.config)), kHere);
       continue;
+    }
+    const UnitConfig now = present_files.Of(unit.config);
+    const UnitConfig then = WithPlayedFiles(now, Provenance(unit.id));
+    for (const auto& [hash, played, named] :
+         {std::tie(now.libero_tasks, then.libero_tasks, unit.config.libero_tasks),
+          std::tie(now.libero_fixtures, then.libero_fixtures, unit.config.libero_fixtures)}) {
+      if (hash == played || !changed.insert(named).second) continue;
+      complaints.push_back(
+          absl::StrCat(named, " has changed since ", Unit(unit.id),
+                       " was played with it; restore it, or choose another --out"));
     }
     const std::string file = PlanFile(unit.id);
     const absl::StatusOr<std::string> present = ReadFile(file);
@@ -123,7 +141,7 @@ absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
         complaints.push_back(absl::StrCat(
             Unit(id), " was begun by a version up to 0.2, and this one calls the unit ", named));
       }
-      alike.Compare(AsPlayed(*begun), id);
+      alike.Compare(WithPlayedFiles(AsPlayed(*begun), Provenance(id)), id);
     }
     complaints.insert(complaints.end(), alike.complaints().begin(), alike.complaints().end());
   }

@@ -60,7 +60,7 @@ class RunDirectory {
   absl::StatusOr<FileLock> Lock() const;
   // FailedPrecondition, with every unit and file listed: units that were started with another
   // configuration, units that would be played unlike those that were started (played_alike.h),
-  // scenario files that have changed.
+  // scenario files, task folders and tables of fixtures that have changed.
   absl::Status CheckStarted(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
   // Checks, makes the folders, keeps the grid and its scenario files.
   absl::Status Prepare(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
@@ -75,6 +75,7 @@ class RunDirectory {
 
  private:
   UnitConfig AsPlayed(UnitConfig config) const;
+  nlohmann::json Provenance(const std::string& id) const;  // discarded where it is not there
   const std::string path_;
 };
 

@@ -165,7 +165,9 @@ class UnitReader {
     bool sound = true;
     for (const char* key : {"model_hash", "version", "noise_paired", "options"})
       sound = MustBeText(file, provenance, key) && sound;
-    if (sound) result_.unit.provenance = std::move(provenance);
+    if (!sound) return;
+    result_.unit.config = WithPlayedFiles(std::move(result_.unit.config), provenance);
+    result_.unit.provenance = std::move(provenance);
   }
 
   void ReadExtras() {

@@ -36,14 +36,14 @@ robostress_moment MomentIn(robostress_errors& errors, const robostress_arrays& a
   return at;
 }
 
-// A motor with a gear keeps its command, to the last bit, where the errors leave its torque.
+// A motor with a gear keeps its command, to the last bit, where that is what it shall give.
 void SetMotors(const robostress_arrays& arrays, int joints, const double* asked,
                const double* torque) {
   for (int i = 0; i < joints; ++i) {
     double& ctrl = arrays.ctrl[arrays.ctrl_index[i]];
     if (arrays.gear == nullptr) {
       ctrl = torque[i];
-    } else if (torque[i] != asked[i]) {
+    } else if (torque[i] != asked[i] || ctrl * arrays.gear[i] != asked[i]) {
       ctrl = torque[i] / arrays.gear[i];
     }
   }

@@ -31,11 +31,18 @@ absl::Status CheckArrays(const robostress_arrays& a) {
   return absl::OkStatus();
 }
 
-double Holding(const robostress_arrays& a, const Eigen::Vector3d& field, int joint) {
-  const int body = a.body_index[joint], index = 3 * a.joint_index[joint];
+// How a point of the joint's bodies moves with it [m/rad, or m/m].
+Eigen::Vector3d Column(const robostress_arrays& a, int joint, const Eigen::Vector3d& point) {
+  const int index = 3 * a.joint_index[joint];
   const MappedVector axis(a.xaxis + index), anchor(a.xanchor + index);
-  const MappedVector com(a.subtree_com + 3 * body);
-  return -a.subtree_mass[body] * axis.dot((com - anchor).cross(field));
+  if (a.slides != nullptr && a.slides[joint] != 0) return axis;
+  return axis.cross(point - anchor);
+}
+
+double Holding(const robostress_arrays& a, const Eigen::Vector3d& field, int joint) {
+  const int body = a.body_index[joint];
+  return -a.subtree_mass[body] *
+         Column(a, joint, MappedVector(a.subtree_com + 3 * body)).dot(field);
 }
 
 }  // namespace
@@ -60,9 +67,7 @@ void TiltGravity(const robostress_arrays& a, int joints, double* change) {
 void PayloadAtTool(const robostress_arrays& a, int joints, double* gravity, double* inertia) {
   const MappedVector tool(a.tool), field(a.field);
   for (int i = 0; i < joints; ++i) {
-    const MappedVector axis(a.xaxis + 3 * a.joint_index[i]),
-        anchor(a.xanchor + 3 * a.joint_index[i]);
-    const Eigen::Vector3d column = axis.cross(tool - anchor);
+    const Eigen::Vector3d column = Column(a, i, tool);
     gravity[i] = -column.dot(field);
     inertia[i] = column.squaredNorm();
   }

@@ -168,9 +168,10 @@ typedef struct robostress_arrays {
   const int* ctrl_index;
   const int* joint_index;
   const int* body_index;
-  double field[3];    /* [m/s^2] of gravity */
-  const double* tool; /* [3] where a payload sits; or NULL: payload_* are of the moment */
-  const double* gear; /* torque of each motor per unit of ctrl; or NULL for 1 */
+  double field[3];             /* [m/s^2] of gravity */
+  const double* tool;          /* [3] where a payload sits; or NULL: payload_* are of the moment */
+  const double* gear;          /* torque of each motor per unit of ctrl; or NULL for 1 */
+  const unsigned char* slides; /* not 0: the joint slides along its axis; or NULL: all turn */
 } robostress_arrays;
 /* sub_step() with q, dq, gravity, payload_* and tilt_gravity of these arrays, whose ctrl gets what
    is applied and whose qpos the change: between a controller and the simulator's step. moment: what

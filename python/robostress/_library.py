@@ -61,7 +61,7 @@ ATTACHED = ("qpos", "qvel", "ctrl", "xaxis", "xanchor", "subtree_com", "subtree_
 
 class Arrays(ctypes.Structure):
     _fields_ = [("size", ctypes.c_size_t)] + [(name, ctypes.c_void_p) for name in ATTACHED] + [
-        ("field", ctypes.c_double * 3), ("tool", ctypes.c_void_p), ("gear", ctypes.c_void_p)]
+        ("field", ctypes.c_double * 3), ("tool", ctypes.c_void_p), ("gear", ctypes.c_void_p), ("slides", ctypes.c_void_p)]
 
 
 class Control(ctypes.Structure):
@@ -224,6 +224,13 @@ def array(name: str, values: Any, dtype: Any, *shape: int) -> np.ndarray:
         wanted = ["any" if n == -1 else n for n in shape]
         raise InvalidArgument(f"{name} has shape {list(result.shape)}, must be {wanted}")
     return result
+
+
+def text(name: str, value: str) -> bytes:
+    """As the library reads it, which ends at a NUL."""
+    if "\0" in value:
+        raise InvalidArgument(f"{name} is {value!r}: there is a NUL in it")
+    return value.encode()
 
 
 class Scenario(NamedTuple):

@@ -105,7 +105,11 @@ class PolicyClient:
             frame = self._socket.recv(timeout=self._timeout)
             if isinstance(frame, str):
                 raise ServerError(frame)
-            return self._msgpack.unpackb(frame, object_hook=_unpacked, strict_map_key=False)
+            try:
+                return self._msgpack.unpackb(frame, object_hook=_unpacked, strict_map_key=False)
+            except Exception as fault:
+                raise ServerError(f"the server's answer of {len(frame)} bytes is no msgpack map that openpi's wire knows "
+                                  f"({type(fault).__name__} {fault}): is it a policy server?") from fault
         except BaseException as fault:
             self.close()
             if isinstance(fault, TimeoutError):

@@ -7,7 +7,7 @@ from typing import Any, Dict, List, Optional
 
 import numpy as np
 
-from robostress._library import LIBRARY, Control, Copied, Executed, Failures, InvalidArgument, array, integer
+from robostress._library import LIBRARY, Control, Copied, Executed, Failures, InvalidArgument, array, integer, text
 
 
 MOST_ROWS = 1024  # that executed() takes at once
@@ -53,7 +53,7 @@ class Compensator(Copied):
         self.method, self.action_dim, self.space = method, action_dim, space
         self._failures, handle = Failures(), ctypes.c_void_p()
         self._failures.check(LIBRARY.robostress_compensator_new(
-            method.encode(), ctypes.addressof(texts), len(overrides), ctypes.addressof(control),
+            text("method", method), ctypes.addressof(texts), len(overrides), ctypes.addressof(control),
             ctypes.addressof(handle), *self._failures.arguments))
         self._own(handle)
         if rows is not None and self.every_step:
@@ -124,7 +124,7 @@ class Compensator(Copied):
         policy = array("action", action, np.float32, self.action_dim)
         self.correct(policy[None])
         sent = self.next()
-        self._steps.append({**state, "policy": policy, "sent": sent})
+        self._steps.append({**state, "policy": policy.copy(), "sent": sent.copy()})
         return sent
 
     def end_episode(self, position: Optional[Any] = None, orientation: Optional[Any] = None,

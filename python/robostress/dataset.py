@@ -11,7 +11,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from robostress._library import LIBRARY, Failures, Frames, InvalidArgument, Schema, Unshared, WrongOrder, array
+from robostress._library import LIBRARY, Failures, Frames, InvalidArgument, Schema, Unshared, WrongOrder, array, text
 from robostress.compensation import Compensator
 
 ACTION = ("x", "y", "z", "rx", "ry", "rz", "gripper")
@@ -42,7 +42,7 @@ def _png(picture: np.ndarray) -> bytes:
 
 
 def _texts(names: Sequence[str]) -> Any:
-    return (ctypes.c_char_p * len(names))(*(name.encode() for name in names))
+    return (ctypes.c_char_p * len(names))(*(text("a name", name) for name in names))
 
 
 class EpisodeDataset(Unshared):
@@ -67,8 +67,8 @@ class EpisodeDataset(Unshared):
                  more: Optional[Mapping[str, Union[int, Sequence[str]]]] = None) -> None:
         columns = {"observation.state": state, "action": action, "action.sent": action, "action.measured": action}
         for name, axes in (more or {}).items():
-            if name in columns:
-                raise InvalidArgument(f"more has {name!r}, which is a column already; rename it")
+            if name in columns or name in ("self", "state", "images", "commanded", "sent", "measured"):
+                raise InvalidArgument(f"more has {name!r}, which is a column already, or what add() calls something else; rename it")
             columns[name] = axes
         if isinstance(cameras, str):
             raise InvalidArgument(f"cameras is {cameras!r}, must be a list of names: [{cameras!r}]")
@@ -79,7 +79,7 @@ class EpisodeDataset(Unshared):
         rows = [_texts(axes) for axes in self._axes.values()]
         keep = (_texts(list(self._axes)), (ctypes.c_size_t * len(rows))(*(len(row) for row in rows)),
                 (ctypes.c_void_p * len(rows))(*(ctypes.addressof(row) for row in rows)), _texts(self.cameras))
-        schema = Schema(ctypes.sizeof(Schema), robot.encode(), fps, len(rows), *map(ctypes.addressof, keep[:3]),
+        schema = Schema(ctypes.sizeof(Schema), text("robot", robot), fps, len(rows), *map(ctypes.addressof, keep[:3]),
                         len(self.cameras), ctypes.addressof(keep[3]))
         self._failures.check(LIBRARY.robostress_dataset_open(
             os.fsencode(folder), ctypes.addressof(schema), ctypes.addressof(handle), *self._failures.arguments))
@@ -132,8 +132,8 @@ class EpisodeDataset(Unshared):
             [r.ctypes.data for r in rows], [p.ctypes.data for p in pixels],
             [ctypes.cast(ctypes.c_char_p(b), ctypes.c_void_p).value for b in bytes_], [e.ctypes.data for e in ends])]
         vectors, pixels_at, pictures, picture_ends = map(ctypes.addressof, pointers)
-        frames = Frames(ctypes.sizeof(Frames), instruction.encode(), bool(success), self._steps, vectors, pixels_at,
-                        *map(ctypes.addressof, sides), pictures, picture_ends)
+        frames = Frames(ctypes.sizeof(Frames), text("instruction", instruction), bool(success), self._steps, vectors,
+                        pixels_at, *map(ctypes.addressof, sides), pictures, picture_ends)
         index = self.episodes
         self._failures.check(LIBRARY.robostress_dataset_append(self._handle, ctypes.addressof(frames),
                                                                *self._failures.arguments))

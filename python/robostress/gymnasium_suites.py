@@ -103,6 +103,11 @@ class SuiteEnv(gymnasium.Env):
             return None
         return numpy.concatenate(list(self._pictures.values()), axis=1)
 
+    @property
+    def alive(self):
+        """Whether its program still plays: not closed, not ended by an error."""
+        return self._process is not None and self._process.poll() is None
+
     def close(self):
         process, self._process = self._process, None
         if process is None:

@@ -3,12 +3,13 @@ from __future__ import annotations
 
 import ctypes
 import weakref
-from typing import Any, Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, FrozenSet, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 
 from robostress._library import (
-    ARM, ATTACHED, LIBRARY, Arrays, Copied, Failures, InvalidArgument, Moment, Options, WrongOrder, array, integer)
+    ARM, ATTACHED, LIBRARY, Arrays, Copied, Failures, InvalidArgument, Moment, Options, WrongOrder, array, integer,
+    text)
 from robostress.streams import Stream
 
 READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
@@ -77,7 +78,8 @@ class JointErrors(Copied):
         handle = ctypes.c_void_p()
         self._failures = Failures()
         self._failures.check(LIBRARY.robostress_errors_new(
-            scenario.encode(), joints, ctypes.addressof(options), ctypes.addressof(handle), *self._failures.arguments))
+            text("scenario", scenario), joints, ctypes.addressof(options), ctypes.addressof(handle),
+            *self._failures.arguments))
         self._own(handle)
 
     def _own(self, handle: ctypes.c_void_p) -> None:
@@ -88,13 +90,14 @@ class JointErrors(Copied):
         self._asked_array, self._applied, self._change = (np.zeros(self.joints) for _ in range(3))
         self._asked = memoryview(self._asked_array)
         self._views: Dict[str, memoryview] = {"asked": self._asked}
+        self._bound: Set[str] = set()  # of them, somebody else's arrays
         asked, applied, change = (a.ctypes.data for a in (self._asked_array, self._applied, self._change))
         start = (self._handle, ctypes.addressof(self._moment))
         self._torque = (*start, asked, applied, *self._failures.arguments)
         self._offset_change = (self._handle, applied, change, *self._failures.arguments)
         self._sub_step = (*start, asked, applied, change, *self._failures.arguments)
         for name in self.reads:
-            self.bind(**{name: np.full(self._shape(name), np.nan)})  # so that what nobody fills is refused
+            self._read_from(**{name: np.full(self._shape(name), np.nan)})  # so that what nobody fills is refused
 
     def _shape(self, name: str) -> Tuple[int, ...]:
         if name not in ARM:
@@ -113,7 +116,11 @@ class JointErrors(Copied):
         return bool(LIBRARY.robostress_errors_reads(self._handle) & GRASP)
 
     def bind(self, **arrays: np.ndarray) -> None:
-        """These arrays themselves are read from now on: float64, contiguous, of the arm's shapes."""
+        """These arrays themselves are read from now on: float64, contiguous, of the arm's shapes. Nothing is written there."""
+        self._read_from(**arrays)
+        self._bound.update(arrays)
+
+    def _read_from(self, **arrays: np.ndarray) -> None:
         for name, values in arrays.items():
             shape = self._shape(name)
             if not isinstance(values, np.ndarray) or values.dtype != np.float64 or values.shape != shape or (
@@ -124,6 +131,9 @@ class JointErrors(Copied):
             setattr(self._moment, name, values.ctypes.data)
 
     def _fill(self, arm: Dict[str, Any]) -> None:
+        if not self._bound.isdisjoint(arm):
+            taken = sorted(self._bound.intersection(arm))
+            raise InvalidArgument(f"{', '.join(taken)}: your own arrays are bound and read; write there, and leave out the names")
         for name, values in arm.items():
             try:
                 self._views[name][:] = values  # a memoryview takes a third of an array's time
@@ -132,12 +142,15 @@ class JointErrors(Copied):
 
     def _convert(self, name: str, values: Any) -> None:
         if name not in self._views:  # one that these errors need not have
-            self.bind(**{name: np.empty(self._shape(name))})
+            self._read_from(**{name: np.empty(self._shape(name))})
+        kept = np.asarray(self._views[name])
         try:
-            np.asarray(self._views[name])[...] = values
+            given = np.asarray(values, float)
         except (TypeError, ValueError) as fault:
-            shape = list(np.asarray(self._views[name]).shape)
-            raise InvalidArgument(f"{name}: {fault}; must be numbers of shape {shape}") from fault
+            raise InvalidArgument(f"{name}: {fault}; must be numbers of shape {list(kept.shape)}") from fault
+        if given.shape not in ((), kept.shape):  # a number alone is that of every joint
+            raise InvalidArgument(f"{name} has shape {list(given.shape)}, must be of shape {list(kept.shape)}")
+        kept[...] = given
 
     def _begin(self, asked: Any, arm: Dict[str, Any]) -> None:
         if arm:
@@ -154,10 +167,10 @@ class JointErrors(Copied):
         joint, coupled = integer("joint", joint), integer("coupled", coupled)
         given = array("values", values, float, -1)
         self._failures.check(LIBRARY.robostress_errors_add_effect(
-            self._handle, joint, effect.encode(), given.ctypes.data, len(given), coupled, *self._failures.arguments))
+            self._handle, joint, text("effect", effect), given.ctypes.data, len(given), coupled, *self._failures.arguments))
         for name in self.reads:
             if name not in self._views:
-                self.bind(**{name: np.full(self._shape(name), np.nan)})
+                self._read_from(**{name: np.full(self._shape(name), np.nan)})
 
     def reset(self, q: Optional[Any] = None, *, step: float = 0.002, holding: Optional[Any] = None, **arm: Any) -> None:
         """An episode begins at rest at q, or where the bound arrays say. step: length of a sub-step [s]; holding: the motors'
@@ -198,24 +211,26 @@ class JointErrors(Copied):
         return self._change
 
     def attach(self, field: Any, *, rows: int = 1, tool: Optional[np.ndarray] = None, gear: Optional[Any] = None,
-               **arrays: Any) -> None:
+               slides: Optional[Any] = None, **arrays: Any) -> None:
         """A simulator's own arrays for act(), laid out as MuJoCo's: qpos, qvel, ctrl, xaxis, xanchor, subtree_com,
         subtree_mass; qpos_index, dof_index, ctrl_index, joint_index, body_index [joints]. field: of gravity [m/s^2].
-        tool: [3] where a payload sits. gear: torque of each motor per unit of ctrl; None: 1. rows: sub-steps of a control
-        step whose torques `record` [rows, 2, joints] keeps: asked for, applied.
+        tool: [3] where a payload sits. gear: torque of each motor per unit of ctrl; None: 1. slides: [joints] whether each
+        slides along its axis; None: all turn. rows: sub-steps of a control step whose torques `record` [rows, 2, joints]
+        keeps: asked for, applied.
         """
         attached = Arrays(ctypes.sizeof(Arrays))
         attached.field[:] = array("field", field, float, 3)
         rows = integer("rows", rows, 0)
         given = {**arrays, **({} if tool is None else {"tool": tool}),
-                 **({} if gear is None else {"gear": array("gear", gear, float, self.joints)})}
+                 **({} if gear is None else {"gear": array("gear", gear, float, self.joints)}),
+                 **({} if slides is None else {"slides": array("slides", slides, np.uint8, self.joints)})}
         if set(arrays) != set(ATTACHED):
             raise InvalidArgument(f"arrays {sorted(arrays)} are given, must be {sorted(ATTACHED)}")
         for name, of in INDEXED.items():
             given[name] = self._indices(name, given[name], {each: len(_own_array(each, given[each])) for each in of})
         if tool is not None and len(_own_array("tool", tool)) != 3:
             raise InvalidArgument(f"tool has {len(tool)} entries, must be 3: a position")
-        for name in (*ATTACHED, *(optional for optional in ("tool", "gear") if optional in given)):
+        for name in (*ATTACHED, *(optional for optional in ("tool", "gear", "slides") if optional in given)):
             setattr(attached, name, given[name].ctypes.data)
         record = np.zeros((rows, 2, self.joints))
         self._failures.check(LIBRARY.robostress_errors_attach(

@@ -38,11 +38,16 @@ class MujocoArm:
         self.servos = bool(np.any(m.actuator_biastype[self.motor] != 0))
         self.gear = np.ones(len(motors)) if self.servos else m.actuator_gear[self.motor, 0] * m.actuator_gainprm[self.motor, 0]
         self._torques = np.zeros(m.nu)  # of servos: what the joints get
+        limited = getattr(m, "jnt_actfrclimited", np.zeros(m.njnt))[joint] != 0  # from MuJoCo 2.3.3 on
+        self._joint_limits = np.full((len(joint), 2), [-np.inf, np.inf])
+        if limited.any():
+            self._joint_limits[limited] = m.jnt_actfrcrange[joint[limited]]
         low, high = self._limits()
         errors.bind(torque_low=low, torque_high=high)
         self.fields = [(getattr(self, "_" + name), getattr(errors, name)) for name in MEASURED if name in errors.reads]
         errors.attach(m.opt.gravity, rows=rows, tool=None if tool is None else d.site_xpos[tool],
-                      gear=None if np.all(self.gear == 1) else self.gear, qpos=d.qpos, qvel=d.qvel,
+                      gear=None if np.all(self.gear == 1) else self.gear, slides=m.jnt_type[joint] == 2,
+                      qpos=d.qpos, qvel=d.qvel,
                       ctrl=self._torques if self.servos else d.ctrl,
                       xaxis=d.xaxis, xanchor=d.xanchor, subtree_com=d.subtree_com, subtree_mass=m.body_subtreemass,
                       qpos_index=self.qpos, dof_index=self.dof, ctrl_index=self.motor, joint_index=joint,
@@ -63,7 +68,7 @@ class MujocoArm:
                                   "<position> or <velocity> actuators of joints")
 
     def _limits(self) -> Sequence[np.ndarray]:
-        m, ends = self.model, np.full((len(self.motor), 2), [-np.inf, np.inf])
+        m, ends = self.model, self._joint_limits.copy()
         motors = () if self.servos else ((m.actuator_ctrllimited, m.actuator_ctrlrange, self.gear),)
         for limited, given, scale in (*motors,
                                       (m.actuator_forcelimited, m.actuator_forcerange, m.actuator_gear[self.motor, 0])):
@@ -81,19 +86,24 @@ class MujocoArm:
     @property
     def torques(self) -> np.ndarray:
         """What `ctrl` asks for [Nm]."""
-        m, ctrl = self.model, self.data.ctrl[self.motor]
-        bounds = m.actuator_ctrlrange[self.motor]
-        ctrl = np.where(m.actuator_ctrllimited[self.motor] != 0, np.clip(ctrl, bounds[:, 0], bounds[:, 1]), ctrl)
+        ctrl = self.commands()
         return self._servo_torques(ctrl) if self.servos else self.gear * ctrl
 
+    def commands(self) -> np.ndarray:
+        """`ctrl` of the arm's motors within their ranges."""
+        m, ctrl = self.model, self.data.ctrl[self.motor]
+        bounds = m.actuator_ctrlrange[self.motor]
+        return np.where(m.actuator_ctrllimited[self.motor] != 0, np.clip(ctrl, bounds[:, 0], bounds[:, 1]), ctrl)
+
     def _servo_torques(self, ctrl: np.ndarray) -> np.ndarray:
-        """gear (gain ctrl + b0 + b1 length + b2 speed), the force within its limits; MuJoCo, Computation, Actuation model."""
+        """gear (gain ctrl + b0 + b1 length + b2 speed), force and torque within their limits; MuJoCo, Actuation model."""
         m, motor, bias = self.model, self.motor, self.model.actuator_biasprm[self.motor]
         affine = (m.actuator_biastype[motor] == 1)[:, None] * bias[:, :3]
         gear = m.actuator_gear[motor, 0]
         force = m.actuator_gainprm[motor, 0] * ctrl + affine[:, 0] + gear * (affine[:, 1] * self.q() + affine[:, 2] * self.dq())
         ends = m.actuator_forcerange[motor]
-        return gear * np.where(m.actuator_forcelimited[motor] != 0, np.clip(force, ends[:, 0], ends[:, 1]), force)
+        torque = gear * np.where(m.actuator_forcelimited[motor] != 0, np.clip(force, ends[:, 0], ends[:, 1]), force)
+        return np.clip(torque, self._joint_limits[:, 0], self._joint_limits[:, 1])
 
     def begin_episode(self) -> None:
         elsewhere = self.q() + 0.0123
@@ -213,6 +223,8 @@ class ArmEpisode:
             mujoco.mj_comVel(model, data)
             mujoco.mj_rne(model, data, 0, data.qfrc_bias)
         data.ctrl[:] = ctrl
+        if not self.arm.servos:
+            data.ctrl[self.arm.motor] = self.arm.commands()
         self.act()
 
     def executed(self, action: Any) -> Dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Union
 
 import numpy as np
 
-from robostress._library import LIBRARY, Failures, InvalidArgument, Unshared, integer
+from robostress._library import LIBRARY, Failures, InvalidArgument, Unshared, integer, text
 
 MOST = 2**40  # draws at once
 
@@ -19,12 +19,12 @@ class Stream(Unshared):
 
     def __init__(self, purpose: str, *parts: Union[str, int]) -> None:
         failures, handle = Failures(), ctypes.c_void_p()
-        failures.check(LIBRARY.robostress_stream_new(purpose.encode(), ctypes.addressof(handle), *failures.arguments))
+        failures.check(LIBRARY.robostress_stream_new(text("purpose", purpose), ctypes.addressof(handle), *failures.arguments))
         self._handle = handle.value
         weakref.finalize(self, LIBRARY.robostress_stream_free, self._handle)
         for part in parts:
             if isinstance(part, str):
-                LIBRARY.robostress_stream_add_text(self._handle, part.encode())
+                LIBRARY.robostress_stream_add_text(self._handle, text("a part", part))
             elif isinstance(part, (int, np.integer)) and -2**63 <= part < 2**63:
                 LIBRARY.robostress_stream_add_number(self._handle, int(part))
             else:

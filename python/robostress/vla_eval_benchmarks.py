@@ -79,7 +79,7 @@ class SuiteBenchmark(StepBenchmark):
         return tasks
 
     def reset(self, task):
-        if self._index != task["task_id"]:
+        if self._env is None or not self._env.alive or self._index != task["task_id"]:
             self.cleanup()
             self._env, self._index = SuiteEnv(task=task["task_id"], **self._made), task["task_id"]
         state = task.get("episode_idx", 0) % INITIAL_STATES
@@ -145,6 +145,9 @@ class LiberoBenchmark(LIBEROBenchmark):
 
     def __init__(self, *given, scenario="clean", severity=5, error_seed=0, compensation=None, compensation_rows=None, **more):
         super().__init__(*given, **more)
+        if compensation is not None and getattr(self, "absolute_action", False):
+            raise InvalidArgument(f"compensation {compensation!r} corrects displacements, and absolute_action sends targets: leave "
+                                  "one of them out")
         self.scenario, self.severity, self._error_seed = scenario, severity, error_seed
         self._corrected = _Corrected(compensation, compensation_rows)
 

@@ -27,7 +27,7 @@ for round in 1 2 3; do
   dagger "dagger$round" "$out/$last/nano.safetensors" --stride 3 --episodes 16 --first-draw "$((round + 1))000"
   demos+=(--data "$out/dagger$round")
   [[ -e $out/round$round/DONE ]] || "$bin/robostress-train" --recipe "$recipe" "${demos[@]}" \
-    --init "$out/$last/nano.safetensors" --set steps=6000 lr=0.0008 warmup=50 "seed=$((round + 41))" --out "$out/round$round" --resume
+    --init "$out/$last/nano.safetensors" --set steps=5000 lr=0.0008 warmup=50 "seed=$((round + 41))" --out "$out/round$round" --resume
   last=round$round
 done
 echo "weights: $out/$last/nano.safetensors"

@@ -12,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
+#include "common/rollout/field_checks.h"
 #include "common/status_macros.h"
 
 namespace robostress::libero {
@@ -75,6 +76,8 @@ class Parser {
         ++pos_;
       }
       node.word = absl::AsciiStrToLower(std::string(text_.substr(begin, pos_ - begin)));
+      if (!CheckUtf8("word", node.word).ok())
+        return Error(line_, "a word that is not UTF-8; save the file in UTF-8");
       return node;
     }
     ++pos_;
@@ -142,6 +145,12 @@ class Reader {
           absl::StrCat("expected a section such as (:objects ...), got '", section.word, "'"));
     }
     const std::string& kind = section.items[0].word;
+    // The originals take the first of some and the last of others.
+    if (const auto [before, fresh] = lines_.try_emplace(kind, section.line); !fresh) {
+      return parser_.Error(section.line,
+                           absl::StrCat("a second (", kind, " ...); the first is in line ",
+                                        before->second, ": leave one of them out"));
+    }
     if (kind == "problem") return ReadWord(section, problem_.name);
     if (kind == ":domain") {
       std::string domain;
@@ -359,6 +368,7 @@ class Reader {
 
   const Parser& parser_;
   BddlProblem problem_;
+  std::map<std::string, int> lines_;  // of the sections so far
   std::map<std::string, int> instances_;
 };
 

@@ -118,21 +118,21 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
     RS_RETURN_IF_ERROR(Install(python));
     python = PackageFolder() + "/bin/python";
   }
-  std::vector<std::string> roots = line.sites;
+  std::vector<std::string> asked = line.sites;
   if (!line.python.empty() || line.install) {
     const std::vector<std::string> own = PythonRoots(python);
     if (own.empty())
       return absl::NotFoundError(absl::StrCat("--python ", python, ": it does not run"));
-    roots.insert(roots.end(), own.begin(), own.end());
+    asked.insert(asked.end(), own.begin(), own.end());
   }
-  for (const std::string& root : UsualRoots(home)) roots.push_back(root);
+  std::vector<std::string> roots = UsualRoots(home);
   for (const std::string& root : PythonRoots(python)) roots.push_back(root);
   if (std::error_code ignored; std::filesystem::exists(PackageFolder(), ignored)) {
     for (const std::string& root : PythonRoots(PackageFolder() + "/bin/python"))
       roots.push_back(root);
   }
 
-  const std::vector<FoundPart> parts = FindParts(needed, roots);
+  const std::vector<FoundPart> parts = FindParts(needed, asked, roots);
   bool found = true, complete = true;
   for (const FoundPart& part : parts) {
     Print(part);
@@ -213,7 +213,7 @@ int Main(int argc, char** argv) {
       "setup", "Find LIBERO and robosuite 1.4, check every file of the forty tasks, link them");
   setup
       ->add_option("--site", line.sites,
-                   "Look here first: a site-packages or a checkout; may be repeated")
+                   "Take what is here from here: a site-packages or a checkout; may be repeated")
       ->type_name("DIR")
       ->check(cli::ExistingDirectory())
       ->allow_extra_args(false);

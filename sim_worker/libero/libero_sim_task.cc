@@ -128,8 +128,10 @@ absl::Status LiberoSimTask::Reset(int initial_state) {
     RS_RETURN_IF_ERROR(MoveFixtures(scene_->centred_fixtures));
   }
   drawn_ = false;
-  const double* qpos = init_states_.row(initial_state) + 1;  // after the time; velocities are zero
-  RS_RETURN_IF_ERROR(sim_->Reset(absl::MakeConstSpan(qpos, scene_->model->nq), HomePosture()));
+  const size_t nq = scene_->model->nq, nv = scene_->model->nv;
+  const double* qpos = init_states_.row(initial_state) + 1;  // after the time
+  RS_RETURN_IF_ERROR(
+      ResetTo(absl::MakeConstSpan(qpos, nq), absl::MakeConstSpan(qpos + nq, nv), HomePosture()));
   return sim_->Settle(unit_.sim.settle_steps);
 }
 

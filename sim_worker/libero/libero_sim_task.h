@@ -42,7 +42,8 @@ class LiberoSimTask : public SimTask {
   const std::string& name() const override { return name_; }
   const std::string& instruction() const override { return instruction_; }
   PandaSim& sim() override { return *sim_; }
-  const std::string& mjcf() const override { return scene_->mjcf; }
+  std::string mjcf() const override { return PlacedMjcf(*scene_, *placed_model_); }
+  std::string problem() const override { return scene_->problem.name; }
   absl::StatusOr<Expert> MakeExpert() override;
   absl::StatusOr<Image> Film(int height) override;
 

@@ -10,7 +10,9 @@
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
+#include "common/check.h"
 #include "common/random.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/mjcf.h"
@@ -260,6 +262,34 @@ absl::StatusOr<std::shared_ptr<mjModel>> PlaceFixtures(const LiberoScene& scene,
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
   RS_RETURN_IF_ERROR(MoveFixtures(scene, poses, *model));
   return model;
+}
+
+std::string PlacedMjcf(const LiberoScene& scene, const mjModel& model) {
+  tinyxml2::XMLDocument document;
+  RS_CHECK(document.Parse(scene.mjcf.c_str()) == tinyxml2::XML_SUCCESS);
+  std::map<std::string, int> moved;  // bodies by name
+  for (const FixturePose& pose : scene.centred_fixtures) {
+    const int body = scene.objects.at(pose.fixture).body;
+    moved[mj_id2name(&model, mjOBJ_BODY, body)] = body;
+  }
+  VisitElements(document.RootElement(), [&](XMLElement* element) {
+    const char* name = element->Attribute("name");
+    if (name == nullptr || std::string_view(element->Name()) != "body") return;
+    const auto found = moved.find(name);
+    if (found == moved.end()) return;
+    for (const char* other : {"axisangle", "xyaxes", "zaxis", "euler"})
+      element->DeleteAttribute(other);
+    const double *pos = model.body_pos + 3 * found->second,
+                 *quat = model.body_quat + 4 * found->second;
+    element->SetAttribute("pos",
+                          absl::StrFormat("%.17g %.17g %.17g", pos[0], pos[1], pos[2]).c_str());
+    element->SetAttribute(
+        "quat",
+        absl::StrFormat("%.17g %.17g %.17g %.17g", quat[0], quat[1], quat[2], quat[3]).c_str());
+  });
+  tinyxml2::XMLPrinter printer;
+  document.Print(&printer);
+  return printer.CStr();
 }
 
 std::shared_ptr<mjModel> MakeSimulationModel(const mjModel& model, const double* qpos) {

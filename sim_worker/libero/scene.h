@@ -78,6 +78,9 @@ absl::Status MoveFixtures(const LiberoScene& scene, const std::vector<FixturePos
 absl::StatusOr<std::shared_ptr<mjModel>> PlaceFixtures(const LiberoScene& scene,
                                                        const std::vector<FixturePose>& poses);
 
+// The scene's MJCF with its fixtures where they stand in `model`.
+std::string PlacedMjcf(const LiberoScene& scene, const mjModel& model);
+
 // A copy to simulate, with equal dynamics. The free objects' part of qpos0, which only a reset
 // reads, is taken from `qpos`: in the composed model they overlap and overflow the contact buffers
 // before the first reset. The constraint buffers hold kMaxConstraints instead of robosuite's 5000

@@ -112,6 +112,24 @@ std::vector<std::string> ConfiguredRoots() {
   return roots;
 }
 
+FoundPart FindPart(const Part& part, const std::vector<NeededFile>& needed,
+                   const std::vector<std::string>& roots) {
+  FoundPart best = Check(part, "", needed);
+  std::error_code ignored;
+  std::set<std::string> looked;
+  for (const std::string& root : roots) {
+    for (const char* candidate : part.candidates) {
+      const fs::path folder = fs::path(root) / candidate;
+      if (best.complete() || !LooksLike(part, folder)) continue;
+      if (!looked.insert(fs::canonical(folder, ignored).string()).second) continue;
+      FoundPart here = Check(part, folder, needed);
+      const auto wrong = [](const FoundPart& f) { return f.missing.size() + f.different.size(); };
+      if (best.folder.empty() || wrong(here) < wrong(best)) best = std::move(here);
+    }
+  }
+  return best;
+}
+
 }  // namespace
 
 absl::StatusOr<std::vector<NeededFile>> ReadNeededFiles(const std::string& file) {
@@ -178,23 +196,12 @@ absl::StatusOr<std::vector<NeededFile>> ListNeededFiles(const LiberoPaths& paths
 }
 
 std::vector<FoundPart> FindParts(const std::vector<NeededFile>& needed,
+                                 const std::vector<std::string>& asked,
                                  const std::vector<std::string>& roots) {
   std::vector<FoundPart> found;
-  std::error_code ignored;
   for (const Part& part : Parts()) {
-    FoundPart best = Check(part, "", needed);
-    std::set<std::string> looked;
-    for (const std::string& root : roots) {
-      for (const char* candidate : part.candidates) {
-        const fs::path folder = fs::path(root) / candidate;
-        if (best.complete() || !LooksLike(part, folder)) continue;
-        if (!looked.insert(fs::canonical(folder, ignored).string()).second) continue;
-        FoundPart here = Check(part, folder, needed);
-        const auto wrong = [](const FoundPart& f) { return f.missing.size() + f.different.size(); };
-        if (best.folder.empty() || wrong(here) < wrong(best)) best = std::move(here);
-      }
-    }
-    found.push_back(std::move(best));
+    found.push_back(FindPart(part, needed, asked));
+    if (found.back().folder.empty()) found.back() = FindPart(part, needed, roots);
   }
   return found;
 }
@@ -203,7 +210,7 @@ absl::Status LinkParts(const std::vector<FoundPart>& parts, const std::string& h
   for (const FoundPart& part : parts) {
     const fs::path link = fs::path(home) / part.part;
     RS_RETURN_IF_ERROR(MakeDirectories(link.parent_path().string()));
-    std::error_code error;
+    std::error_code error, ignored;
     if (part.folder.empty()) {
       fs::remove(link, error);
       continue;
@@ -213,8 +220,10 @@ absl::Status LinkParts(const std::vector<FoundPart>& parts, const std::string& h
     fs::create_directory_symlink(part.folder, fresh, error);
     if (!error) fs::rename(fresh, link, error);
     if (error) {
+      fs::remove(fresh, ignored);
       return absl::UnavailableError(
-          absl::StrCat("cannot link ", link.string(), " to ", part.folder, ": ", error.message()));
+          absl::StrCat("cannot link ", link.string(), " to ", part.folder, ": ", error.message(),
+                       "; move away what is there, or give another folder in XDG_DATA_HOME"));
     }
   }
   return absl::OkStatus();

@@ -42,8 +42,9 @@ struct FoundPart {
 
 // Looks for the four parts below `roots`: site-packages, checkouts, or folders that hold assets,
 // bddl_files or init_files. Of several the one with fewest missing and different files is taken,
-// the first of equals.
+// the first of equals; a part that one of the `asked` roots holds is taken from there.
 std::vector<FoundPart> FindParts(const std::vector<NeededFile>& needed,
+                                 const std::vector<std::string>& asked,
                                  const std::vector<std::string>& roots);
 
 // Replaces the four links below `home`, each at once. Of parts that were not found none is made.

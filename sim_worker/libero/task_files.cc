@@ -19,10 +19,11 @@ absl::Status CheckTask(int task, const std::vector<std::string>& names, const st
 }
 
 // LIBERO's benchmark derives LIBERO-90's from the names of its files, whose wording differs in
-// four.
+// four; where a file says nothing its name does.
 std::string FolderInstruction(const LiberoTaskFolder& folder, const std::string& task,
                               const BddlProblem& problem) {
-  return folder.suite == "libero_90" ? LiberoInstruction(task) : problem.language;
+  const bool by_name = folder.SuiteOfFiles() == "libero_90" || problem.language.empty();
+  return by_name ? LiberoInstruction(task) : problem.language;
 }
 
 }  // namespace

@@ -124,17 +124,24 @@ class EpisodeFile {
     EpisodeFile file(absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task,
                                      line.tag, line.first_draw, hdf5 ? "hdf5" : "safetensors"),
                      Shard(job.suite, job.task, task.instruction(), line.record.execution_noise),
-                     task.mjcf(), FindSuite(job.suite)->needs_libero);
+                     FindSuite(job.suite)->needs_libero);
     if (hdf5) {
-      RS_ASSIGN_OR_RETURN(file.libero_,
-                          LiberoDemonstrationWriter::Create(
-                              file.path_, {job.suite, task.name(), task.instruction()}));
+      RS_ASSIGN_OR_RETURN(file.libero_, LiberoDemonstrationWriter::Create(
+                                            file.path_, {.suite = job.suite,
+                                                         .task = task.name(),
+                                                         .instruction = task.instruction(),
+                                                         .problem = task.problem()}));
     }
     return file;
   }
-  absl::Status Add(int draw, const Demonstration& episode) {
+  // Of the task's last reset.
+  absl::Status Add(const SimTask& task, int draw, const Demonstration& episode) {
     frames_ += static_cast<int>(episode.frames.size());
-    if (libero_.has_value()) return libero_->Add(ToLibero(episode, mjcf_, libero_suite_));
+    if (libero_.has_value()) {
+      LiberoDemonstration demonstration = ToLibero(episode, task.mjcf(), libero_suite_);
+      demonstration.initial_state = draw;
+      return libero_->Add(demonstration);
+    }
     shard_.Add(draw, episode);
     return absl::OkStatus();
   }
@@ -143,14 +150,10 @@ class EpisodeFile {
   int frames() const { return frames_; }
 
  private:
-  EpisodeFile(std::string path, Shard shard, std::string mjcf, bool libero_suite)
-      : path_(std::move(path)),
-        shard_(std::move(shard)),
-        mjcf_(std::move(mjcf)),
-        libero_suite_(libero_suite) {}
+  EpisodeFile(std::string path, Shard shard, bool libero_suite)
+      : path_(std::move(path)), shard_(std::move(shard)), libero_suite_(libero_suite) {}
   std::string path_;
   Shard shard_;
-  std::string mjcf_;
   bool libero_suite_;
   std::optional<LiberoDemonstrationWriter> libero_;
   int frames_ = 0;
@@ -221,7 +224,7 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
     if (!episode->success) absl::StrAppend(&failed, " ", draw);
     if (!line.eval && (!episode->success || episode->frames.empty())) continue;
     ++kept;
-    if (file.has_value()) RS_RETURN_IF_ERROR(file->Add(draw, *episode));
+    if (file.has_value()) RS_RETURN_IF_ERROR(file->Add(*task, draw, *episode));
   }
   const double wall = Now() - start;
   std::string written;

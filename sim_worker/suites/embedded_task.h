@@ -26,7 +26,7 @@ class EmbeddedTask : public SimTask {
   const std::string& name() const override { return name_; }
   const std::string& instruction() const override { return model_->task().instruction; }
   PandaSim& sim() override { return *sim_; }
-  const std::string& mjcf() const override { return model_->mjcf(); }
+  std::string mjcf() const override { return model_->mjcf(); }
   absl::StatusOr<Expert> MakeExpert() override;
   absl::StatusOr<Image> Film(int height) override;
 

@@ -112,7 +112,8 @@ class Recorder {
     recording_.success = record.success;
     recording_.rate_hz = 1 / kPanda.control_period_s;
     recording_.task_name = task_.name;
-    recording_.model_file = task_.mjcf;
+    recording_.problem = task_.problem;
+    recording_.model_file = task_.mjcf();
     return std::move(recording_);
   }
 

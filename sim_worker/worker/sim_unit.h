@@ -29,7 +29,8 @@ struct UnitTask {
   std::shared_ptr<Robot> robot;
   std::function<absl::StatusOr<std::unique_ptr<PolicyEndpoint>>()> make_expert;
   std::function<absl::StatusOr<Image>(int height)> film;           // one frame, height [px]
-  std::string name, mjcf;                                          // of the task; its scene
+  std::string name, problem;                                       // of the task (sim_task.h)
+  std::function<std::string()> mjcf;                               // its scene after the last reset
   std::function<absl::StatusOr<RecordedMoment>(int side)> moment;  // views of side x side [px]
   // Null unless the method has a model of the arm.
   std::shared_ptr<CommandInversion> inversion;

@@ -117,7 +117,8 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   };
   out.film = [sim_task](int height) { return sim_task->Film(height); };
   out.name = sim_task->name();
-  out.mjcf = sim_task->mjcf();
+  out.problem = sim_task->problem();
+  out.mjcf = [sim_task] { return sim_task->mjcf(); };
   out.moment = [sim_task](int side) -> absl::StatusOr<RecordedMoment> {
     PolicySpec views;
     views.cameras = {kAgentView, kWristView};

@@ -295,5 +295,33 @@ for i in range(11):
   EXPECT_EQ(std::system(absl::StrCat("/usr/bin/python3 ", script, " ", path).c_str()), 0);
 }
 
+// LIBERO's readers make an environment of the class that problem_name says.
+TEST(LiberoDemonstrations, OfLiberosSuitesNameItsClassAndItsFile) {
+  if (std::system("/usr/bin/python3 -c 'import h5py' 2>/dev/null") != 0)
+    GTEST_SKIP() << "python3-h5py is not installed";
+  const std::string path = TempPath("libero_named.hdf5"), script = TempPath("libero_named.py");
+  std::filesystem::remove(path);
+  auto writer =
+      LiberoDemonstrationWriter::Create(path, {.suite = "libero_goal",
+                                               .task = "push",
+                                               .instruction = "push",
+                                               .problem = "libero_tabletop_manipulation"});
+  LiberoDemonstration demonstration = MakeDemonstration(4);
+  demonstration.initial_state = 1008;
+  ASSERT_TRUE(writer->Add(demonstration).ok());
+  ASSERT_TRUE(writer->Publish().ok());
+  ASSERT_TRUE(WriteFileAtomically(script, R"py(
+import h5py, json, sys
+d = h5py.File(sys.argv[1], "r")["data"]
+for name in ("problem_info", "env_args"):
+    assert json.loads(d.attrs[name])["problem_name"] == "libero_tabletop_manipulation"
+assert d.attrs["env_name"] == "libero_tabletop_manipulation"
+assert d.attrs["bddl_file_name"] == "bddl_files/libero_goal/push.bddl"
+assert d["demo_0"].attrs["initial_state"] == 1008
+)py")
+                  .ok());
+  EXPECT_EQ(std::system(absl::StrCat("/usr/bin/python3 ", script, " ", path).c_str()), 0);
+}
+
 }  // namespace
 }  // namespace robostress

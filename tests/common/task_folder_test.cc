@@ -84,6 +84,25 @@ TEST(TaskFolder, InitialStatesLieBesideTheTaskOrWhereLiberoHasThem) {
   EXPECT_EQ(InitialStatesOf(read(tree), "a"), states + "/a.pruned_init.npz");
 }
 
+// What the message of a name that is taken advises.
+TEST(TaskFolder, ALinkHasAnotherNameAndTheSameFiles) {
+  const std::string tasks = Folder("linked/bddl_files/libero_90", {"a.bddl"});
+  const std::string states = Folder("linked/init_files/libero_90", {"a.pruned_init"});
+  const fs::path link = fs::path(Folder("links", {})) / "ninety";
+  fs::remove(link);
+  fs::create_directory_symlink(tasks, link);
+  const LiberoTaskFolder folder = *ReadLiberoTaskFolder(link.string());
+  EXPECT_EQ(folder.suite, "ninety");
+  EXPECT_EQ(folder.SuiteOfFiles(), "libero_90");
+  EXPECT_EQ(InitialStatesOf(folder, "a"), fs::canonical(states).string() + "/a.pruned_init");
+}
+
+TEST(TaskFolder, WhatArchivesLeaveIsNoTask) {
+  const std::string folder = Folder("unpacked", {"a.bddl", "._a.bddl", ".b.bddl"});
+  fs::create_directories(folder + "/c.bddl");
+  EXPECT_THAT(ReadLiberoTaskFolder(folder)->tasks, ElementsAre("a"));
+}
+
 TEST(TaskFolder, AUnitNamesTheFoldersSuite) {
   UnitConfig unit;
   unit.policy = "expert";

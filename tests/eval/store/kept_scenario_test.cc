@@ -86,7 +86,69 @@ TEST_F(KeptScenario, AnotherFileDoesNotGoOn) {
   Write("worn.yaml", WornElbow("clean", 0.04));
   EXPECT_THAT(std::string(Play(3).message()),
               AllOf(HasSubstr(id_ + "' was begun with a scenario file whose SHA-256 begins "),
-                    HasSubstr("restore the file")));
+                    HasSubstr("restore it")));
+}
+
+// The hash of a task folder is kept with what was played in it.
+class KeptTasks : public KeptScenario {
+ protected:
+  void SetUp() override {
+    fs::create_directories(tasks_);
+    Write(name_ + "/put_it_there.bddl", "(define (problem first))");
+    Write(name_ + "/put_it_there.pruned_init", "states");
+    SweepGrid grid;
+    grid.libero_root = grid.robosuite_root = "somewhere";
+    grid.libero_tasks = {tasks_};
+    grid.scenarios = {"clean"};
+    grid.methods = {"base"};
+    grid.policies = {"expert"};
+    grid.tasks = {0};
+    grid.episodes = 3;
+    grid_ = *ResolveGrid(grid);
+  }
+  // A suite's name is its folder's, and there is one of a name in a process.
+  const std::string name_ = testing::UnitTest::GetInstance()->current_test_info()->name();
+  const std::string tasks_ = folder_ + "/" + name_;
+};
+
+TEST_F(KeptTasks, OtherTasksDoNotJoinThoseThatWerePlayed) {
+  ASSERT_TRUE(Play(3).ok());
+  SweepGrid more = grid_;
+  more.seeds = {0, 1};
+  EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok());
+  for (const char* changed : {"put_it_there.bddl", "put_it_there.pruned_init"}) {
+    const std::string file = tasks_ + "/" + changed, before = *ReadFile(file);
+    ASSERT_TRUE(WriteFileAtomically(file, "other").ok());
+    EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
+                AllOf(HasSubstr(tasks_ + " has changed since "), HasSubstr("restore it")));
+    more.seeds = {1};  // without the unit that was played
+    EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
+                HasSubstr("suite " + name_ + ": libero_tasks is sha256 "));
+    more.seeds = {0, 1};
+    ASSERT_TRUE(WriteFileAtomically(file, before).ok());
+  }
+  fs::remove_all(tasks_);
+  EXPECT_TRUE(LoadRun(run_.path()).ok()) << "a run is read where its folder is gone";
+}
+
+TEST_F(KeptTasks, AUnitDoesNotGoOnInOtherTasks) {
+  EXPECT_FALSE(Play(1).ok());
+  Write(name_ + "/put_it_there.bddl", "(define (problem second))");
+  EXPECT_THAT(std::string(Play(3).message()), HasSubstr(tasks_ + " has changed since "));
+  Write(name_ + "/put_it_there.bddl", "(define (problem first))");
+  EXPECT_TRUE(Play(3).ok());
+}
+
+// On another machine the same path may hold other tasks, of which only the worker knows.
+TEST_F(KeptTasks, TheWorkerRefusesOtherTasksToo) {
+  EXPECT_FALSE(Play(1).ok());
+  const std::vector<PlannedUnit> units = *ExpandUnits(grid_);
+  Write(name_ + "/put_it_there.bddl", "(define (problem second))");
+  UnitRunOptions options;
+  options.out = run_.Unit(units[0].id);
+  ShortPlayer player(3);
+  EXPECT_THAT(std::string(RunUnit(*ResolveUnit(units[0].config), options, player).message()),
+              HasSubstr("was begun with a folder of LIBERO tasks whose SHA-256 begins "));
 }
 
 TEST_F(KeptScenario, ACopyThatIsNotWhatWasPlayedIsDamage) {

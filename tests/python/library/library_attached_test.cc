@@ -40,10 +40,11 @@ struct SimulatorArrays {
               at.data(),      at.data(),   at.data(),   {0.5, 0, -9.81}};
     arrays.tool = tool.data();
   }
-  // axis x (point - anchor) of a joint.
+  // How a point moves with a joint: axis x (point - anchor), or the axis of one that slides.
   std::array<double, 3> Column(size_t joint, const double* point) const {
     const auto k = 3 * static_cast<size_t>(at[joint]);
     const double *a = &axis[k], *o = &anchor[k];
+    if (arrays.slides != nullptr && arrays.slides[joint] != 0) return {a[0], a[1], a[2]};
     const double x = point[0] - o[0], y = point[1] - o[1], z = point[2] - o[2];
     return {a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x};
   }
@@ -91,6 +92,77 @@ class LibraryAttached : public ::testing::Test {
         << error_;
   }
 
+  // Errors of many kinds in these arrays, and in a twin that is told what the arrays mean.
+  void CompareWithSubSteps() {
+    const AttachedErrors errors = New("heavy_payload");
+    AddEffect(errors, 1, "payload", {2});
+    AddEffect(errors, 3, "payload", {1});
+    AddEffect(errors, 5, "base_tilt", {0.02, 0.05});
+    AddEffect(errors, 2, "base_tilt", {0.1, -0.05});
+    AddEffect(errors, 4, "time_varying_gain", {0.5});
+    const AttachedErrors twin = Copy(errors);
+    ASSERT_EQ(Attach(errors), ROBOSTRESS_OK) << error_;
+    std::vector<double> q(kPandaJoints), dq(kPandaJoints), gravity(kPandaJoints),
+        mass(kPandaJoints), inertia(kPandaJoints), tilt(2 * kPandaJoints), applied(kPandaJoints),
+        change(kPandaJoints);
+    const auto look = [&] {
+      for (size_t i = 0; i < kPandaJoints; ++i) {
+        q[i] = simulator_.qpos[static_cast<size_t>(simulator_.at[i])];
+        dq[i] = simulator_.qvel[static_cast<size_t>(simulator_.at[i])];
+        gravity[i] = simulator_.Holding(i, 0.5, 0, -9.81);
+        tilt[2 * i] = simulator_.Holding(i, 0, -9.81, 0);
+        tilt[2 * i + 1] = simulator_.Holding(i, 9.81, 0, 0.5);
+        const auto column = simulator_.Column(i, simulator_.tool.data());
+        mass[i] = -(0.5 * column[0] - 9.81 * column[2]);
+        inertia[i] = column[0] * column[0] + column[1] * column[1] + column[2] * column[2];
+      }
+    };
+    robostress_moment given = moment_;
+    given.q = q.data();
+    given.dq = dq.data();
+    given.gravity = gravity.data();
+    given.payload_gravity = mass.data();
+    given.payload_inertia = inertia.data();
+    given.tilt_gravity = tilt.data();
+    std::vector<double> mass_matrix(kPandaJoints * kPandaJoints), other(kPandaJoints);
+    for (size_t i = 0; i < kPandaJoints; ++i) mass_matrix[(kPandaJoints + 1) * i] = 3;
+    moment_.mass_matrix = given.mass_matrix = mass_matrix.data();
+    moment_.other_torque = given.other_torque = other.data();
+    look();
+    dq.assign(kPandaJoints, 0);
+    ASSERT_EQ(Begin(errors), ROBOSTRESS_OK) << error_;
+    ASSERT_EQ(robostress_errors_reset(twin.get(), &given, gravity.data(), error_, sizeof(error_)),
+              ROBOSTRESS_OK)
+        << error_;
+    for (int step = 0; step < 50; ++step) {
+      if (step % 5 == 0) {
+        robostress_errors_begin_control_step(errors.get(), step / 5, 1);
+        robostress_errors_begin_control_step(twin.get(), step / 5, 1);
+      }
+      asked_[3] = 4 * std::sin(0.1 * step);
+      look();
+      given.time = 0.002 * step;
+      ASSERT_EQ(robostress_errors_sub_step(twin.get(), &given, asked_.data(), applied.data(),
+                                           change.data(), error_, sizeof(error_)),
+                ROBOSTRESS_OK)
+          << error_;
+      ASSERT_EQ(Act(errors), ROBOSTRESS_OK) << error_;
+      for (size_t i = 0; i < kPandaJoints; ++i) {
+        const auto k = static_cast<size_t>(simulator_.at[i]);
+        EXPECT_NEAR(simulator_.ctrl[k], applied[i], 1e-10);
+        EXPECT_NEAR(simulator_.qpos[k], q[i] + change[i], 1e-13);
+        if (step % 5 >= kRows) continue;
+        const size_t row = 2 * kPandaJoints * static_cast<size_t>(step % 5) + i;
+        EXPECT_EQ(record_[row], asked_[i]);
+        EXPECT_EQ(record_[row + kPandaJoints], simulator_.ctrl[k]);
+      }
+      simulator_.qvel[5] = std::sin(0.3 * step);
+    }
+    EXPECT_GT(std::abs(simulator_.ctrl[2] - asked_[1]), 0.5);
+    EXPECT_EQ(simulator_.ctrl[1], 7);
+    EXPECT_EQ(simulator_.qpos[1], 0.2);
+  }
+
   SimulatorArrays simulator_;
   robostress_moment moment_ = {};
   std::array<double, kPandaJoints> asked_;
@@ -98,71 +170,12 @@ class LibraryAttached : public ::testing::Test {
   char error_[400] = "";
 };
 
-TEST_F(LibraryAttached, ActAsASubStepGivenWhatTheArraysSay) {
-  const AttachedErrors errors = New("heavy_payload");
-  AddEffect(errors, 1, "payload", {2});
-  AddEffect(errors, 2, "base_tilt", {0.1, -0.05});
-  AddEffect(errors, 4, "time_varying_gain", {0.5});
-  const AttachedErrors twin = Copy(errors);
-  ASSERT_EQ(Attach(errors), ROBOSTRESS_OK) << error_;
-  std::vector<double> q(kPandaJoints), dq(kPandaJoints), gravity(kPandaJoints), mass(kPandaJoints),
-      inertia(kPandaJoints), tilt(2 * kPandaJoints), applied(kPandaJoints), change(kPandaJoints);
-  const auto look = [&] {
-    for (size_t i = 0; i < kPandaJoints; ++i) {
-      q[i] = simulator_.qpos[static_cast<size_t>(simulator_.at[i])];
-      dq[i] = simulator_.qvel[static_cast<size_t>(simulator_.at[i])];
-      gravity[i] = simulator_.Holding(i, 0.5, 0, -9.81);
-      tilt[2 * i] = simulator_.Holding(i, 0, -9.81, 0);
-      tilt[2 * i + 1] = simulator_.Holding(i, 9.81, 0, 0.5);
-      const auto column = simulator_.Column(i, simulator_.tool.data());
-      mass[i] = -(0.5 * column[0] - 9.81 * column[2]);
-      inertia[i] = column[0] * column[0] + column[1] * column[1] + column[2] * column[2];
-    }
-  };
-  robostress_moment given = moment_;
-  given.q = q.data();
-  given.dq = dq.data();
-  given.gravity = gravity.data();
-  given.payload_gravity = mass.data();
-  given.payload_inertia = inertia.data();
-  given.tilt_gravity = tilt.data();
-  std::vector<double> mass_matrix(kPandaJoints * kPandaJoints), other(kPandaJoints);
-  for (size_t i = 0; i < kPandaJoints; ++i) mass_matrix[(kPandaJoints + 1) * i] = 3;
-  moment_.mass_matrix = given.mass_matrix = mass_matrix.data();
-  moment_.other_torque = given.other_torque = other.data();
-  look();
-  dq.assign(kPandaJoints, 0);
-  ASSERT_EQ(Begin(errors), ROBOSTRESS_OK) << error_;
-  ASSERT_EQ(robostress_errors_reset(twin.get(), &given, gravity.data(), error_, sizeof(error_)),
-            ROBOSTRESS_OK)
-      << error_;
-  for (int step = 0; step < 50; ++step) {
-    if (step % 5 == 0) {
-      robostress_errors_begin_control_step(errors.get(), step / 5, 1);
-      robostress_errors_begin_control_step(twin.get(), step / 5, 1);
-    }
-    asked_[3] = 4 * std::sin(0.1 * step);
-    look();
-    given.time = 0.002 * step;
-    ASSERT_EQ(robostress_errors_sub_step(twin.get(), &given, asked_.data(), applied.data(),
-                                         change.data(), error_, sizeof(error_)),
-              ROBOSTRESS_OK)
-        << error_;
-    ASSERT_EQ(Act(errors), ROBOSTRESS_OK) << error_;
-    for (size_t i = 0; i < kPandaJoints; ++i) {
-      const auto k = static_cast<size_t>(simulator_.at[i]);
-      EXPECT_NEAR(simulator_.ctrl[k], applied[i], 1e-10);
-      EXPECT_NEAR(simulator_.qpos[k], q[i] + change[i], 1e-13);
-      if (step % 5 >= kRows) continue;
-      const size_t row = 2 * kPandaJoints * static_cast<size_t>(step % 5) + i;
-      EXPECT_EQ(record_[row], asked_[i]);
-      EXPECT_EQ(record_[row + kPandaJoints], simulator_.ctrl[k]);
-    }
-    simulator_.qvel[5] = std::sin(0.3 * step);
-  }
-  EXPECT_GT(std::abs(simulator_.ctrl[2] - asked_[1]), 1);
-  EXPECT_EQ(simulator_.ctrl[1], 7);
-  EXPECT_EQ(simulator_.qpos[1], 0.2);
+TEST_F(LibraryAttached, ActAsASubStepGivenWhatTheArraysSay) { CompareWithSubSteps(); }
+
+TEST_F(LibraryAttached, KnowJointsThatSlide) {
+  const std::array<unsigned char, kPandaJoints> slides = {0, 1, 1, 0, 0, 0, 1};
+  simulator_.arrays.slides = slides.data();
+  CompareWithSubSteps();
 }
 
 TEST_F(LibraryAttached, KeepTheCommandsOfGearsThatTheyLeaveAlone) {
@@ -177,6 +190,9 @@ TEST_F(LibraryAttached, KeepTheCommandsOfGearsThatTheyLeaveAlone) {
   ASSERT_EQ(Act(errors), ROBOSTRESS_OK) << error_;
   EXPECT_EQ(simulator_.ctrl[9], 0.1);
   EXPECT_NEAR(simulator_.ctrl[2], 0.05, 1e-15);
+  simulator_.ctrl.assign(10, 0);  // not what asks: the motors get it all the same
+  ASSERT_EQ(Act(errors), ROBOSTRESS_OK) << error_;
+  EXPECT_NEAR(simulator_.ctrl[9], 0.1, 1e-15);
 }
 
 TEST_F(LibraryAttached, SayWhatIsMissing) {

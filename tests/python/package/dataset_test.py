@@ -55,6 +55,20 @@ class Datasets(unittest.TestCase):
         self.assertIn("episode 0: 'open the drawer' length 12 success True", said)
         self.assertIn("episode 1: 'close the drawer' length 5 success False", said)
 
+    def test_a_forked_process_writes_into_no_set_of_its_parents(self):
+        with rs.EpisodeDataset(self.folder) as data:
+            fill(data, 3)
+            child = os.fork()
+            if child == 0:
+                try:
+                    data.end("the child's", True)
+                except rs.WrongOrder as refused:
+                    os._exit(7 if "one recorder a folder" in str(refused) else 1)
+                os._exit(0)
+            self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), 7)
+            self.assertEqual(data.end("the parent's", True), 0)
+            self.assertEqual((data.episodes, data.steps), (1, 3))
+
     def test_commanded_sent_and_measured_are_columns_and_pictures_are_lossless(self):
         import datasets
         stream = rs.Stream("dataset test", 0)

@@ -51,11 +51,11 @@ def chain():
     return model, mujoco.MjData(model)
 
 
-def xml_of(actuators, gear=1):
-    """Three joints, their actuators as given for each."""
+def xml_of(actuators, gear=1, joint=""):
+    """Three joints, their actuators and further attributes as given for each."""
     inside = ""
     for i in reversed(range(3)):
-        inside = (f'<body pos="0 0 0.25"><joint name="j{i}" axis="0 1 0" armature="0.05" damping="0.3"/>'
+        inside = (f'<body pos="0 0 0.25"><joint name="j{i}" axis="0 1 0" armature="0.05" damping="0.3" {joint}/>'
                   f'<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.25" contype="0" conaffinity="0"/>{inside}</body>')
     return (f'<mujoco><option timestep="0.002"/><worldbody>{inside}</worldbody><actuator>'
             + "".join(actuators.format(i=i, gear=gear) for i in range(3)) + "</actuator></mujoco>")
@@ -83,8 +83,8 @@ class Servos(unittest.TestCase):
     POSITION = '<position joint="j{i}" kp="60" kv="4" gear="{gear}" forcerange="-30 30" ctrlrange="-2 2" ctrllimited="true"/>'
     MOTOR = '<motor joint="j{i}"/>'
 
-    def played(self, actuators, scenario, law=None, gear=1, steps=40, wrapped=True):
-        model = mujoco.MjModel.from_xml_string(xml_of(actuators, gear))
+    def played(self, actuators, scenario, law=None, gear=1, steps=40, wrapped=True, joint=""):
+        model = mujoco.MjModel.from_xml_string(xml_of(actuators, gear, joint))
         data = mujoco.MjData(model)
         arm = MujocoArm(model, data, range(3), range(3), rs.JointErrors(scenario, 3, nominal=NOMINAL[:3]), rows=10)
         arm.begin_episode()
@@ -119,6 +119,15 @@ class Servos(unittest.TestCase):
                 self.assertLess(np.abs(servo - motor).max(), 1e-11, (gear, scenario))
                 clean = self.played(self.POSITION, "clean", gear=gear)
                 self.assertGreater(np.abs(servo - clean).max(), 1e-4, (gear, scenario))
+
+    @unittest.skipIf(mujoco.__version__.startswith("2"), "<position kv=...> came with MuJoCo 3")
+    def test_a_joints_own_limit_is_one_of_what_drives_it(self):
+        for actuator, law in ((self.MOTOR, lambda target, q, dq: 9 * target), (self.POSITION, None)):
+            narrow = actuator.replace('forcerange="-30 30"', "").replace("/>", ' forcerange="-1 1"/>')
+            for scenario in ("isolated_compliance", "isolated_gravity"):
+                limited = self.played(actuator, scenario, law, joint='actuatorfrcrange="-1 1"')
+                self.assertLess(np.abs(limited - self.played(narrow, scenario, law)).max(), 1e-11, scenario)
+                self.assertGreater(np.abs(limited - self.played(actuator, scenario, law)).max(), 1e-3, scenario)
 
     @unittest.skipIf(mujoco.__version__.startswith("2"), "<position kv=...> came with MuJoCo 3")
     def test_an_environment_of_servos_is_wrapped(self):

@@ -54,7 +54,10 @@ class Kernels(unittest.TestCase):
                 own = {name: values.copy() for name, values in arm.items()}
                 if bound:
                     errors.bind(**own)
-                errors.reset(arm["q"], **limits, **{k: v for k, v in arm.items() if k not in ("q", "dq")})
+                    own["dq"][:] = 0  # at rest
+                    errors.reset(**limits)
+                else:
+                    errors.reset(arm["q"], **limits, **{k: v for k, v in arm.items() if k not in ("q", "dq")})
                 for i in range(SUB_STEPS):
                     if i % 25 == 0:
                         errors.begin_control_step(i // 25, i >= 25)
@@ -102,7 +105,7 @@ class Errors(unittest.TestCase):
             (rs.WrongOrder, "robostress_errors_reset first", lambda: rs.JointErrors("clean").sub_step(
                 np.zeros(7), q=np.zeros(7), dq=np.zeros(7))),
             (rs.InvalidArgument, r"gravity\[0\] is nan", lambda: rs.JointErrors("nominal").reset(np.zeros(7))),
-            (rs.InvalidArgument, "q: could not broadcast.* must be numbers of shape",
+            (rs.InvalidArgument, "q has shape .6., must be of shape .7.",
              lambda: rs.JointErrors("clean").reset(np.zeros(6))),
             (rs.InvalidArgument, "joints is 'seven', must be a whole number",
              lambda: rs.JointErrors("clean", joints="seven")),
@@ -173,6 +176,34 @@ class Errors(unittest.TestCase):
         errors.reset([0.1, 0.2], ddq=0, **arm)
         self.assertEqual(errors.sub_step([1, 1])[0].shape, (2,))
 
+    def test_what_is_of_another_shape_is_not_spread_over_the_arm(self):
+        errors = rs.JointErrors("clean", joints=3)
+        errors.reset(np.zeros(3), gravity=9.81)  # a number alone is that of every joint
+        for wrong in ([5.0], [[5.0, 5, 5]], [[5.0]]):
+            with self.assertRaisesRegex(rs.InvalidArgument, r"asked has shape .*, must be of shape .3."):
+                errors.sub_step(wrong)
+            with self.assertRaisesRegex(rs.InvalidArgument, "gravity has shape"):
+                errors.sub_step([5, 5, 5], gravity=wrong)
+        with self.assertRaisesRegex(rs.InvalidArgument, "mass_matrix has shape .3., must be of shape .3, 3."):
+            errors.sub_step([5, 5, 5], mass_matrix=[1, 2, 3])
+
+    def test_a_text_with_a_nul_is_not_cut_there(self):
+        for make in (lambda: rs.JointErrors("clean\0heavy_payload"), lambda: rs.Compensator("base\0"),
+                     lambda: rs.Stream("a\0b"), lambda: rs.Stream("a", "b\0c")):
+            with self.assertRaisesRegex(rs.InvalidArgument, "there is a NUL in it"):
+                make()
+
+    def test_nothing_is_written_into_what_was_bound(self):
+        errors, q, dq = rs.JointErrors("clean", joints=2), np.ones(2), np.zeros(2)
+        errors.bind(q=q, dq=dq)
+        for call in (lambda: errors.reset([0, 0]), lambda: errors.sub_step([1, 1], q=[0, 0])):
+            with self.assertRaisesRegex(rs.InvalidArgument, "q: your own arrays are bound and read"):
+                call()
+        errors.reset()
+        errors.sub_step([1, 1])
+        np.testing.assert_array_equal(q, [1, 1])
+        errors.copy().reset([0, 0])  # a copy has arrays of its own
+
     def test_readings_and_offsets(self):
         errors = rs.JointErrors("clean", joints=1)
         errors.add_effect(0, "backlash", [0.01])
@@ -205,7 +236,7 @@ class Errors(unittest.TestCase):
         errors.actor(controller)()
         np.testing.assert_array_equal(errors.record[0], [[7, 8], [7, 8]])
         controller.torques = [7, 8, 9]
-        with self.assertRaisesRegex(rs.InvalidArgument, "asked: .* must be numbers of shape .2."):
+        with self.assertRaisesRegex(rs.InvalidArgument, "asked has shape .3., must be of shape .2."):
             errors.actor(controller)()
         with self.assertRaisesRegex(rs.InvalidArgument, "ctrl must be the simulator's own"):
             errors.attach([0, 0, -9.81], **{**simulator, "ctrl": np.zeros(6)[::2]}, **indices)
@@ -247,6 +278,20 @@ class Compensators(unittest.TestCase):
             for row in range(1, ROWS):
                 commands.append(following.next(position, orientation))
             self.assertEqual(np.array_equal(commands, sent), not every_step)
+
+    def test_an_action_and_what_was_sent_may_be_used_again(self):
+        for method in ("direct", "ours_integral", "ours_following_step"):
+            sent = {}
+            for reused in (False, True):
+                one, stream, action = rs.Compensator(method), rs.Stream("reused"), np.zeros(7, np.float32)
+                for i in range(20):
+                    action = action if reused else np.zeros(7, np.float32)
+                    action[:] = 0.3 * stream.normal(7)
+                    command = one.step(action, [0.4 + 0.002 * i, 0, 0.2], [1, 0, 0, 0])
+                    sent.setdefault(reused, []).append(command.copy())
+                    if reused:
+                        command[:] = 7
+            np.testing.assert_array_equal(sent[False], sent[True], method)
 
     def test_smoothing_goes_on_from_chunk_to_chunk_and_begins_with_an_episode(self):
         smooth = rs.Compensator("smooth", smoothing=0.5)

@@ -74,6 +74,12 @@ TEST(BddlTest, ErrorsNameFileLineAndToken) {
   EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "akita_black_bowl_1 - plate)")),
               HasSubstr("'akita_black_bowl_1' is declared twice"));
   EXPECT_THAT(ErrorOf(With("(And", "(Or")), HasSubstr("task.bddl:12: goal connective 'or'"));
+  EXPECT_THAT(ErrorOf(With(":obj_of_interest", ":objects")),
+              HasSubstr("task.bddl:10: a second (:objects ...); the first is in line 9"));
+  EXPECT_THAT(ErrorOf(With(":obj_of_interest",
+                           "\xD6"
+                           "ffne")),
+              HasSubstr("task.bddl:10: a word that is not UTF-8"));
   EXPECT_THAT(ErrorOf(With("robosuite", "igibson")), HasSubstr("domain 'igibson'"));
   EXPECT_THAT(ErrorOf(std::string(kProblem) + ")"), HasSubstr("after the closing parenthesis"));
   EXPECT_THAT(ErrorOf(std::string(kProblem).substr(0, 200)), HasSubstr("a ')' is missing"));

@@ -1,8 +1,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cstdio>
 #include <filesystem>
+#include <set>
 #include <string>
 
 #include "absl/strings/match.h"
@@ -74,6 +76,32 @@ TEST(LiberoRecord, AnEpisodeIsStoredAsLiberoStoresItsOwn) {
   EXPECT_EQ(MirrorColumns(*file->ReadView(0, LiberoDemonstrationFile::View::kAgent, 9)).data,
             episode->frames[9].views[0].data);
   std::remove(path.c_str());
+}
+
+// Fixtures are not in qpos: only the scene's text says where they stood in an episode.
+TEST(LiberoRecord, TheSceneThatIsStoredHasItsFixturesInPlace) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const auto task = BowlOnPlate();
+  EXPECT_EQ(task->problem(), "libero_tabletop_manipulation");
+  std::set<std::string> texts;
+  for (const int draw : {kDraw, kDraw + 1}) {
+    ASSERT_TRUE(task->Reset(draw).ok());
+    const std::string text = task->mjcf();
+    texts.insert(text);
+    const mjModel& played = task->sim().model();
+    std::array<char, 1000> error = {};
+    const std::string file = ::testing::TempDir() + "/placed.xml";
+    ASSERT_TRUE(WriteFileAtomically(file, text).ok());
+    mjModel* const stored = mj_loadXML(file.c_str(), nullptr, error.data(), error.size());
+    ASSERT_NE(stored, nullptr) << error.data();
+    ASSERT_EQ(stored->nbody, played.nbody);
+    for (int i = 0; i < 3 * stored->nbody; ++i)
+      EXPECT_NEAR(stored->body_pos[i], played.body_pos[i], 1e-12) << "body " << i / 3;
+    for (int i = 0; i < 4 * stored->nbody; ++i)
+      EXPECT_NEAR(stored->body_quat[i], played.body_quat[i], 1e-12) << "body " << i / 4;
+    mj_deleteModel(stored);
+  }
+  EXPECT_EQ(texts.size(), 2u);
 }
 
 // The bowl, then the plate; the bowl is held in between; the task is done at the end.

