@@ -129,6 +129,10 @@ class Suites(unittest.TestCase):
             with self.assertRaisesRegex(robostress.RobostressError, "7 finite numbers"):
                 played(self.made(), [bad])
 
+    def test_targets_are_not_corrected_as_displacements(self):
+        with self.assertRaisesRegex(robostress.InvalidArgument, "absolute_action sends targets"):
+            LiberoBenchmark(suite="libero_goal", absolute_action=True, compensation="ours_following")
+
     def test_the_guides_configuration_is_one(self):
         entries = yaml.safe_load(guide_blocks.examples("In vla-eval and LeRobot", "yaml")[0])["benchmarks"]
         for entry in entries:
