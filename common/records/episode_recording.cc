@@ -123,7 +123,7 @@ absl::StatusOr<EpisodeRecording> RecordingOf(const SafetensorsFile& file) {
   MetadataReader metadata(file);
   VisitMetadata(recording, metadata);
   RS_RETURN_IF_ERROR(metadata.status);
-  const auto problem = file.metadata().find("problem");  // absent before 0.2
+  const auto problem = file.metadata().find("problem");  // older files have none
   if (problem != file.metadata().end()) recording.problem = problem->second;
   RS_ASSIGN_OR_RETURN(const std::vector<float> commanded,
                       file.ReadFloats("commanded", {-1, kAction}));

@@ -40,11 +40,14 @@ void Flatten(const YAML::Node& node, const std::string& path, FlatOptions& optio
   }
 }
 
+bool IsWord(const std::string& value) {
+  return value.find('/') == std::string::npos && !absl::EndsWith(value, ".json");
+}
+
 // A path says where a file lies on somebody's machine; its content decides, as it was when the unit
 // was played where that is known.
 std::string FileOrWord(const std::string& value) {
-  if (absl::StartsWith(value, kPlayed)) return value;
-  if (value.find('/') == std::string::npos && !absl::EndsWith(value, ".json")) return value;
+  if (absl::StartsWith(value, kPlayed) || IsWord(value)) return value;
   const absl::StatusOr<std::string> hash = Sha256OfFile(value);
   return hash.ok() ? absl::StrCat(kPlayed, *hash) : "that is gone";
 }
@@ -147,6 +150,11 @@ class ValueText {
 };
 
 }  // namespace
+
+bool NamesFiles(const UnitConfig& config) {
+  return !config.libero_tasks.empty() || absl::StartsWith(config.libero_fixtures, kPlayed) ||
+         !IsWord(config.libero_fixtures);
+}
 
 UnitConfig WithPlayedFiles(UnitConfig config, const nlohmann::json& provenance) {
   for (const auto& [key, value] : {std::pair{kLiberoTasksSha256, &config.libero_tasks},

@@ -20,6 +20,9 @@ FlatOptions FlatOptionsOf(const std::string& yaml);
 std::string FirstDifference(const FlatOptions& a, const std::string& in_a, const FlatOptions& b,
                             const std::string& in_b);
 
+// Whether a unit is played in a task folder or with a table of fixtures, whose content a path does
+// not tell.
+bool NamesFiles(const UnitConfig& config);
 // A unit's configuration whose task folder and table of fixtures stand by the hash of what was in
 // them when it was played, where its provenance.json has that: they may have changed since.
 UnitConfig WithPlayedFiles(UnitConfig config, const nlohmann::json& provenance);

@@ -75,7 +75,7 @@ class RunDirectory {
 
  private:
   UnitConfig AsPlayed(UnitConfig config) const;
-  nlohmann::json Provenance(const std::string& id) const;  // discarded where it is not there
+  UnitConfig WithPlayedFilesOf(const std::string& id, UnitConfig config) const;
   const std::string path_;
 };
 

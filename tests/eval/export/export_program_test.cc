@@ -132,6 +132,38 @@ TEST_F(Export, LiberosFormHoldsWhatWasRecorded) {
               1e-6);
 }
 
+// LIBERO stores its views unmirrored and no proprioception of ours, so its readers see what they
+// know.
+TEST_F(Export, ARecordingOfLiberosSuitesIsStoredAsLiberoStores) {
+  fs::create_directories(root_ + "/as_libero");
+  fs::copy(root_ + "/run", root_ + "/as_libero/run", fs::copy_options::recursive);
+  const std::string name = "/episodes/task0_episode1.safetensors";
+  const std::string episode = absl::StrCat(root_, "/as_libero", kUnit, name);
+  for (const auto& file : fs::directory_iterator(fs::path(episode).parent_path())) {
+    EpisodeRecording recording = *ReadEpisodeRecording(file.path().string());
+    recording.problem = "libero_tabletop_manipulation";
+    ASSERT_TRUE(WriteEpisodeRecording(recording, file.path().string()).ok());
+  }
+  const std::string file = "/open_the_drawer_of_the_cabinet_demo.hdf5";
+  for (const std::string& run : {root_, root_ + "/as_libero"}) {
+    const auto [said, code] =
+        RunProgram(BIN_DIR "/robostress-export",
+                   absl::StrCat(run, "/run --libero ", root_, run == root_ ? "/ours" : "/theirs"));
+    ASSERT_EQ(code, 0) << said;
+  }
+  const auto ours = LiberoDemonstrationFile::Open(root_ + "/ours" + file);
+  const auto theirs = LiberoDemonstrationFile::Open(root_ + "/theirs" + file);
+  ASSERT_TRUE(ours.ok() && theirs.ok()) << ours.status() << theirs.status();
+  EXPECT_TRUE(ours->has_proprioception());
+  EXPECT_FALSE(theirs->has_proprioception());
+  for (const auto view :
+       {LiberoDemonstrationFile::View::kAgent, LiberoDemonstrationFile::View::kEyeInHand}) {
+    const Image picture = *ours->ReadView(1, view, 5);
+    EXPECT_EQ(theirs->ReadView(1, view, 5)->data, MirrorColumns(picture).data);
+    EXPECT_NE(picture.data, MirrorColumns(picture).data);
+  }
+}
+
 TEST_F(Export, McapsLibrariesReadTheEpisodes) {
   const std::string folder = root_ + "/mcap";
   const auto [said, code] = Write("--mcap " + folder);

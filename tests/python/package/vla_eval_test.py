@@ -129,6 +129,13 @@ class Suites(unittest.TestCase):
             with self.assertRaisesRegex(robostress.RobostressError, "7 finite numbers"):
                 played(self.made(), [bad])
 
+    def test_an_environment_that_died_is_made_again(self):
+        benchmark = self.made()
+        played(benchmark, [DOWN])
+        benchmark._env._process.kill()
+        benchmark._env._process.wait()
+        played(benchmark, [DOWN])
+
     def test_targets_are_not_corrected_as_displacements(self):
         with self.assertRaisesRegex(robostress.InvalidArgument, "absolute_action sends targets"):
             LiberoBenchmark(suite="libero_goal", absolute_action=True, compensation="ours_following")

@@ -92,6 +92,8 @@ struct UnitRunnerTest : public testing::Test {
             return std::make_unique<FakeExpert>();
           };
           out.name = absl::StrCat("task ", task);
+          out.problem = "libero_tabletop_manipulation";
+          out.mjcf = [robot] { return absl::StrCat("<mujoco/> ", robot->commands.size()); };
           out.moment = [robot](int side) -> absl::StatusOr<RecordedMoment> {
             RecordedMoment moment;
             RS_ASSIGN_OR_RETURN(moment.observation, robot->Observe({}));
@@ -442,6 +444,9 @@ TEST_F(UnitRunnerTest, RecordsWhatWasAskedForSentAndMeasured) {
   const auto read = ReadEpisodeRecording(Dir("recorded") + "/episodes/task3_episode0.safetensors");
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(read->task_name, "task 3");
+  EXPECT_EQ(read->problem, "libero_tabletop_manipulation");
+  EXPECT_EQ(read->model_file, absl::StrCat("<mujoco/> ", read->steps.size()))
+      << "of the scene in this episode";
   EXPECT_EQ(read->method, "gain");
   EXPECT_EQ(read->instruction, "move along x");
   ASSERT_EQ(static_cast<int>(read->steps.size()), Rows("recorded")[0]["steps"].get<int>());
