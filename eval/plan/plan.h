@@ -18,7 +18,7 @@ struct SweepGrid {
   std::vector<std::string> suites;     // empty: tabletop_goal, or the robot's own
   std::vector<std::string> scenarios;  // empty: clean and the seven, or the robot's arms
   std::vector<int> severities = {5};
-  std::vector<std::string> policies;  // empty: the robot's embedded one
+  std::vector<std::string> policies;  // empty: the robot's embedded one, or LIBERO's
   std::vector<std::string> methods = {"base", "ours"};
   std::vector<int64_t> seeds = {0};
   std::vector<int> tasks;  // empty: all
@@ -41,8 +41,10 @@ struct SweepGrid {
             "see `robostress scenarios`, or scenario files; empty: clean and the seven deployment "
             "scenarios, or the robot's arms");
     v.Field("severities", severities, "levels 1 (mild) to 5 (full)");
-    v.Field("policies", policies,
-            "nano, expert, replay, or a weights file; empty: nano, or the robot's own");
+    v.Field(
+        "policies", policies,
+        "nano, expert, replay, or a weights file; empty: nano, nano-libero for LIBERO's suites, or "
+        "the robot's own");
     v.Field("methods", methods, "base, ours, controls and ablations");
     v.Field("seeds", seeds, "of the policy's sampling noise");
     v.Field("tasks", tasks, "task indices within each suite; empty: all");

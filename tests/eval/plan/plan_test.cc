@@ -249,6 +249,17 @@ TEST(Plan, LiberoSuitesAskForTheirFiles) {
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("--libero-root"));
 }
 
+TEST(Plan, LiberosSuitesHaveAPolicyOfTheirOwn) {
+  SweepGrid grid;
+  grid.libero_root = grid.robosuite_root = "somewhere";
+  grid.suites = {"libero_goal", "libero_10"};
+  EXPECT_EQ(ResolveGrid(grid)->policies, std::vector<std::string>{"nano-libero"});
+  grid.suites.push_back("tabletop_goal");
+  EXPECT_EQ(ResolveGrid(grid)->policies, std::vector<std::string>{"nano"});
+  grid.policies = {"nano-pi05"};
+  EXPECT_EQ(ResolveGrid(grid)->policies, std::vector<std::string>{"nano-pi05"});
+}
+
 TEST(Plan, LiberoFixturesReachEveryUnitAndAreChecked) {
   SweepGrid grid;
   for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.libero_fixtures, "centred");
