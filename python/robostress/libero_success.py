@@ -153,7 +153,11 @@ def _outcomes(options: argparse.Namespace, done: Dict[Tuple, Dict[str, Any]]) ->
         if last > len(states[task]):
             raise InvalidArgument(f"--episodes {options.episodes} from --first-state {options.first_state}: task {task} of "
                                   f"{options.suite} has states 0 to {len(states[task]) - 1}")
-    with PolicyClient(options.server, session={"resize": True}) as client:
+    try:
+        client = PolicyClient(options.server, session={"resize": True})
+    except OSError as fault:
+        raise NotFound(f"no policy server answers at {options.server} ({fault}): start it, or give its address") from fault
+    with client:
         policies = client.metadata.get("policies") or [{}]
         policy = options.policy_name or policies[0].get("name") or options.server
         for task, scenario in itertools.product(tasks, options.scenarios):

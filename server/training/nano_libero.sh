@@ -1,5 +1,5 @@
 #!/bin/bash
-# nano-libero: demonstrations in LIBERO's forty tasks -> training -> four rounds of DAgger, training going on after each.
+# nano-libero: demonstrations in LIBERO's forty tasks -> training -> five rounds of DAgger, training going on after each.
 # Every stage leaves a mark and is not repeated; a training that was interrupted goes on from its checkpoint. Needs
 # LIBERO's files: `robostress libero setup`.
 #   server/training/nano_libero.sh BIN OUT    from the repository root; BIN: folder of the robostress programs
@@ -21,22 +21,26 @@ for suite in libero_10:30 libero_goal:32 libero_spatial:32 libero_object:20; do
   demos+=(--data "$out/demos_${suite%:*}")
 done
 [[ -e $out/base/DONE ]] || "$bin/robostress-train" --recipe "$recipe" "${demos[@]}" --out "$out/base" --resume
-# Rounds of DAgger: 16 episodes of every task; the fourth 10, and 24 more of libero_10, which learned least.
-round() {  # NUMBER: training on all data so far
+train() {  # NUMBER: on all data so far
   [[ -e $out/round$1/DONE ]] || "$bin/robostress-train" --recipe "$recipe" "${demos[@]}" \
     --init "$last" --set steps=5000 lr=0.0008 warmup=50 "seed=$(($1 + 41))" --out "$out/round$1" --resume
   last=$out/round$1/nano.safetensors
 }
+explore() {  # NAME SUITE EPISODES FIRST_DRAW
+  recording=(--suite "$2" --plain-pictures)
+  dagger "$1" "$last" --stride 3 --episodes "$3" --first-draw "$4"
+  demos+=(--data "$out/$1")
+}
 last=$out/base/nano.safetensors
-recording=(--suite libero --plain-pictures)
 for number in 1 2 3; do
-  dagger "dagger$number" "$last" --stride 3 --episodes 16 --first-draw "$((number + 1))000"
-  demos+=(--data "$out/dagger$number")
-  round "$number"
+  explore "dagger$number" libero 16 "$((number + 1))000"
+  train "$number"
 done
-dagger dagger4 "$last" --stride 3 --episodes 10 --first-draw 5000
-recording=(--suite libero_10 --plain-pictures)
-dagger dagger4_libero_10 "$last" --stride 3 --episodes 24 --first-draw 5500
-demos+=(--data "$out/dagger4" --data "$out/dagger4_libero_10")
-round 4
+# libero_10 has learned least.
+explore dagger4 libero 10 5000
+explore dagger4_libero_10 libero_10 24 5500
+train 4
+explore dagger5 libero 6 6000
+explore dagger5_libero_10 libero_10 36 6500
+train 5
 echo "weights: $last"

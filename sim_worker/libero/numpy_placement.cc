@@ -163,7 +163,7 @@ absl::Status NumpyPlacement::CheckOrder() const {
 }
 
 void NumpyPlacement::PrepareKinematics() {
-  model_.reset(mj_copyModel(nullptr, scene_->model.get()), mj_deleteModel);
+  model_ = CopyWithoutTextures(*scene_->model);
   // Kinematics needs no contacts, constraints or stack; with robosuite's sizes mjData has 308 MB.
   model_->nconmax = model_->njmax = 1;
   model_->nstack = 1024;

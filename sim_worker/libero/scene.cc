@@ -160,7 +160,21 @@ std::shared_ptr<mjModel> CopyModel(const mjModel& model) {
                                   [](mjModel* m) { mj_deleteModel(m); });
 }
 
+// What the textures' pixels take in a model's buffer: the next array begins behind them. MuJoCo
+// ends the process when a copy's size differs.
+int TextureBytes(const mjModel& model) {
+  return static_cast<int>(reinterpret_cast<const char*>(model.mat_texid) -
+                          reinterpret_cast<const char*>(model.tex_rgb));
+}
+
 }  // namespace
+
+std::shared_ptr<mjModel> CopyWithoutTextures(const mjModel& model) {
+  mjModel bare = model;  // its arrays are the model's
+  bare.ntexdata = 0;
+  bare.nbuffer -= TextureBytes(model);
+  return CopyModel(bare);
+}
 
 absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem problem) {
   LiberoScene scene;
@@ -258,7 +272,7 @@ absl::Status MoveFixtures(const LiberoScene& scene, const std::vector<FixturePos
 
 absl::StatusOr<std::shared_ptr<mjModel>> PlaceFixtures(const LiberoScene& scene,
                                                        const std::vector<FixturePose>& poses) {
-  std::shared_ptr<mjModel> model = CopyModel(*scene.model);
+  std::shared_ptr<mjModel> model = CopyWithoutTextures(*scene.model);
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
   RS_RETURN_IF_ERROR(MoveFixtures(scene, poses, *model));
   return model;
@@ -293,7 +307,7 @@ std::string PlacedMjcf(const LiberoScene& scene, const mjModel& model) {
 }
 
 std::shared_ptr<mjModel> MakeSimulationModel(const mjModel& model, const double* qpos) {
-  std::shared_ptr<mjModel> copy = CopyModel(model);
+  std::shared_ptr<mjModel> copy = CopyWithoutTextures(model);
   if (copy == nullptr) return nullptr;
   copy->njmax = std::min(copy->njmax, kMaxConstraints);
   for (int joint = 0; joint < copy->njnt; ++joint) {
@@ -307,7 +321,11 @@ std::shared_ptr<mjModel> MakeSimulationModel(const mjModel& model, const double*
 absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene,
                                                          const mjModel& physics) {
   constexpr int kShown = 1, kHidden = 4;  // MuJoCo shows groups 0-2 by default
-  std::shared_ptr<mjModel> model = CopyModel(physics);
+  mjModel textured = physics;
+  textured.ntexdata = scene.model->ntexdata;
+  textured.tex_rgb = scene.model->tex_rgb;
+  textured.nbuffer += TextureBytes(*scene.model) - TextureBytes(physics);
+  std::shared_ptr<mjModel> model = CopyModel(textured);
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
   std::vector<char> bare(model->nbody, 0);
   for (int geom : scene.replaced_geoms) bare[model->geom_bodyid[geom]] = 1;

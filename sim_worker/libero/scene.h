@@ -74,24 +74,29 @@ std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key);
 // only. NotFound for a name that is not a fixture.
 absl::Status MoveFixtures(const LiberoScene& scene, const std::vector<FixturePose>& poses,
                           mjModel& model);
-// A copy of the scene's model with the fixtures moved.
+// A copy for all but pictures: the textures' pixels, hundreds of megabytes, are left out. nullptr
+// where memory is short.
+std::shared_ptr<mjModel> CopyWithoutTextures(const mjModel& model);
+
+// A copy of the scene's model with the fixtures moved, without textures.
 absl::StatusOr<std::shared_ptr<mjModel>> PlaceFixtures(const LiberoScene& scene,
                                                        const std::vector<FixturePose>& poses);
 
 // The scene's MJCF with its fixtures where they stand in `model`.
 std::string PlacedMjcf(const LiberoScene& scene, const mjModel& model);
 
-// A copy to simulate, with equal dynamics. The free objects' part of qpos0, which only a reset
-// reads, is taken from `qpos`: in the composed model they overlap and overflow the contact buffers
-// before the first reset. The constraint buffers hold kMaxConstraints instead of robosuite's 5000
-// rows, which costs 75 instead of 308 MB per simulator; the stored states and the reference
-// trajectories need at most 226 contacts.
+// A copy to simulate, with equal dynamics, without textures. The free objects' part of qpos0, which
+// only a reset reads, is taken from `qpos`: in the composed model they overlap and overflow the
+// contact buffers before the first reset. The constraint buffers hold kMaxConstraints instead of
+// robosuite's 5000 rows, which costs 75 instead of 308 MB per simulator; the stored states and the
+// reference trajectories need at most 226 contacts.
 inline constexpr int kMaxConstraints = 2500;
 std::shared_ptr<mjModel> MakeSimulationModel(const mjModel& model, const double* qpos);
 
-// A copy for rendering: collision geoms hidden (originals: group 0), but shown in plain colours on
-// bodies whose visual meshes are missing; marker sites hidden. Geometry and sizes are equal, so
-// mjData of `model` can be rendered with it. The caller may toggle sites in it.
+// A copy for rendering, with the scene's textures: collision geoms hidden (originals: group 0), but
+// shown in plain colours on bodies whose visual meshes are missing; marker sites hidden. Geometry
+// and sizes are equal, so mjData of `model` can be rendered with it. The caller may toggle sites in
+// it.
 absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene,
                                                          const mjModel& model);
 

@@ -115,6 +115,18 @@ void ExpectNames(const mjModel& model, const nlohmann::json& names) {
   }
 }
 
+void ExpectTexturesOnlyWhereShown(const LiberoScene& scene, const mjModel& placed) {
+  const mjModel& composed = *scene.model;
+  EXPECT_GT(composed.ntexdata, 0);
+  EXPECT_EQ(placed.ntexdata, 0);
+  const auto shown = MakeRenderModel(scene, placed);
+  ASSERT_TRUE(shown.ok()) << shown.status();
+  ASSERT_EQ((*shown)->ntexdata, composed.ntexdata);
+  EXPECT_TRUE(
+      std::equal(composed.tex_rgb, composed.tex_rgb + composed.ntexdata, (*shown)->tex_rgb));
+  EXPECT_TRUE(std::equal(composed.names, composed.names + composed.nnames, (*shown)->names));
+}
+
 // The originals' arrays are exact here: the same XML numbers go through the same compiler. The
 // bound leaves room for the last digit of what Python prints.
 constexpr double kExact = 1e-12;
@@ -135,6 +147,7 @@ double CompareWithOracle(const LiberoScene& scene, const std::string& stem,
   EXPECT_TRUE(model.ok()) << model.status();
   if (!model.ok()) return INFINITY;
   const mjModel& m = **model;
+  ExpectTexturesOnlyWhereShown(scene, m);
   const std::vector<int> sizes = {m.nq, m.nv, m.nbody, m.ngeom, m.njnt, m.nsite};
   const std::vector<int> expected_sizes = {facts["nq"],    facts["nv"],   facts["nbody"],
                                            facts["ngeom"], facts["njnt"], facts["nsite"]};
