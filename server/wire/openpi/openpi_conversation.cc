@@ -70,7 +70,8 @@ std::string OpenpiConversation::Greeting() {
   for (const char* key : {"session", "episode", "reset", "executed", "running"}) writer.Text(key);
   writer.Text("policies").List(static_cast<uint32_t>(policies.size()));
   for (const PolicySpec& policy : policies) {
-    writer.Map(11).Text("name").Text(policy.name);
+    writer.Map(12).Text("name").Text(policy.name);
+    writer.Text("model_hash").Text(policy.model_hash);
     writer.Text("cameras").List(static_cast<uint32_t>(policy.cameras.size()));
     for (const std::string& camera : policy.cameras) writer.Text(camera);
     writer.Text("state_dim").Integer(policy.state_dim);
@@ -134,6 +135,12 @@ absl::Status OpenpiConversation::EnterEpisode(SessionUse& session, const OpenpiV
   // An imported adapter knows its task and is in none of its episodes.
   bool enter = !episode_ || episode_->episode < 0;
   key.episode = std::max(key.episode, 0);
+  bool again = false;
+  if (const OpenpiValue* reset = message.Find("reset")) {
+    const bool* flag = std::get_if<bool>(&reset->value);
+    if (flag == nullptr) return absl::InvalidArgumentError("reset: must be true or false");
+    again = *flag;
+  }
   if (const OpenpiValue* episode = message.Find("episode")) {
     const OpenpiValue *task = episode->Find("task"), *index = episode->Find("episode");
     if (task == nullptr || index == nullptr)
@@ -143,14 +150,10 @@ absl::Status OpenpiConversation::EnterEpisode(SessionUse& session, const OpenpiV
     RS_ASSIGN_OR_RETURN(const int64_t e,
                         OpenpiInteger("episode/episode", *index, 0, WireLimits::kIndex));
     key = {static_cast<int>(t), static_cast<int>(e)};
-    enter = enter || key != *episode_;
-  } else if (const OpenpiValue* reset = message.Find("reset")) {
-    const bool* flag = std::get_if<bool>(&reset->value);
-    if (flag == nullptr) return absl::InvalidArgumentError("reset: must be true or false");
-    if (*flag && !enter) {
-      ++key.episode;
-      enter = true;
-    }
+    enter = enter || again || key != *episode_;
+  } else if (again && !enter) {
+    ++key.episode;
+    enter = true;
   }
   if (!enter) return absl::OkStatus();
   RS_RETURN_IF_ERROR(session.StartEpisode(key, feedback_sequence_));

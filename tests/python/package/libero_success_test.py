@@ -31,7 +31,7 @@ class Server:
         self._thread.start()
 
     def _talk(self, connection):
-        connection.send(msgpack.packb({"policies": [{"name": "still"}]}))
+        connection.send(msgpack.packb({"policies": [{"name": "still", "model_hash": "5a"}], "server": "robostress"}))
         hold = numpy.tile(numpy.array([0, 0, 0, 0, 0, 0, -1], "<f4"), (10, 1))
         for frame in connection:
             self.seen.append(msgpack.unpackb(frame))
@@ -74,7 +74,7 @@ class Success(unittest.TestCase):
         self.assertEqual([(row["scenario"], row["method"], row["rows"], row["steps"]) for row in rows],
                          [("clean", "base", 5, 6), ("clean", "ours_following_smooth/2", 2, 6),
                           ("heavy_payload", "base", 5, 6), ("heavy_payload", "ours_following_smooth/2", 2, 6)])
-        self.assertEqual(rows[0]["policy"], "still")
+        self.assertEqual(rows[0]["policy"], "5a")
         asked = self.server.seen
         self.assertEqual(len(asked), 2 * (2 + 3), "a chunk of 5 and one of 1; three of 2")
         self.assertEqual([message.get("reset", False) for message in asked], [True, False, True, False, False] * 2)
@@ -98,9 +98,9 @@ class Success(unittest.TestCase):
         seen = {"agentview_image": view, "robot0_eye_in_hand_image": view + 12, "robot0_eef_pos": [1, 2, 3],
                 "robot0_eef_quat": [0, half, 0, numpy.cos(numpy.pi / 6)], "robot0_gripper_qpos": [4, -4]}
         client = unittest.mock.Mock(infer=unittest.mock.Mock(return_value={"actions": numpy.zeros((3, 32))}))
-        self.assertEqual(libero_success._Robot(client, "open it").chunk(seen, True).shape, (3, 7))
+        self.assertEqual(libero_success._Robot(client, "open it", True).chunk(seen, (4, 2)).shape, (3, 7))
         (asked,), more = client.infer.call_args
-        self.assertEqual(more, {"reset": True})
+        self.assertEqual((more, asked["episode"]), ({"reset": True}, {"task": 4, "episode": 2}))
         numpy.testing.assert_array_equal(asked["observation/image"], [[[9, 10, 11], [6, 7, 8]], [[3, 4, 5], [0, 1, 2]]])
         numpy.testing.assert_array_equal(asked["observation/wrist_image"], asked["observation/image"] + 12)
         numpy.testing.assert_allclose(asked["observation/state"], [1, 2, 3, 0, numpy.pi / 3, 0, 4, -4], rtol=1e-6)

@@ -340,6 +340,16 @@ TEST_F(OpenpiEndpointTest, StartsTheNextEpisodeOnReset) {
   ASSERT_EQ(host_.episodes.size(), 2u);
   EXPECT_EQ(host_.episodes[1].episode, 1);
   EXPECT_EQ(host_.chunks, (std::vector<int>{0, 0}));
+  // With both, the one that is named begins anew, though it plays already.
+  for (int i = 0; i < 2; ++i) {
+    OpenpiBytes message;
+    LiberoKeys(message.Map(6)).Text("reset").True();
+    message.Text("episode").Map(2).Text("task").Integer(0).Text("episode").Integer(7);
+    ASSERT_FALSE(Ask(*client, message.bytes()).text);
+  }
+  ASSERT_EQ(host_.episodes.size(), 4u);
+  EXPECT_EQ(host_.episodes[3].episode, 7);
+  EXPECT_EQ(host_.chunks, (std::vector<int>{0, 0, 0, 0}));
 }
 
 TEST_F(OpenpiEndpointTest, AsksForATokenAndItsScopes) {
@@ -431,6 +441,7 @@ TEST_F(OpenpiEndpointTest, TakesMessagesAsLargeAsItsPolicyNeeds) {
 }
 
 TEST_F(OpenpiEndpointTest, ResizesViewsForWhomItWasAskedFor) {
+  host_.spec.model_hash = "5a5a";
   host_.spec.image_width = host_.spec.image_height = 64;
   const auto observation = [](const std::string& session, int width = 224, int height = 168) {
     OpenpiBytes message;
@@ -474,6 +485,7 @@ TEST_F(OpenpiEndpointTest, ResizesViewsForWhomItWasAskedFor) {
   ASSERT_TRUE(metadata.ok());
   const OpenpiValue& policy =
       std::get<OpenpiValue::List>(metadata->Find("policies")->value).front();
+  EXPECT_EQ(std::get<std::string_view>(policy.Find("model_hash")->value), "5a5a");
   EXPECT_EQ(std::get<int64_t>(policy.Find("image_width")->value), 64);
   EXPECT_EQ(std::get<int64_t>(policy.Find("image_height")->value), 64);
   EXPECT_EQ(std::get<int64_t>(policy.Find("max_view_side")->value), 1280);
