@@ -53,7 +53,7 @@ class PolicyClient:
                  open_timeout: float = 10, timeout: float = 120) -> None:
         try:
             import msgpack  # type: ignore[import-untyped]
-            from websockets.exceptions import ConnectionClosed
+            from websockets.exceptions import ConnectionClosed, WebSocketException
             from websockets.sync.client import connect
         except ImportError as fault:
             raise NotFound(f"{fault.name} is not installed: pip install 'robostress[client]'") from fault
@@ -66,8 +66,12 @@ class PolicyClient:
         known = inspect.signature(connect).parameters
         more: Dict[str, Any] = {"ping_interval": None, "legacy": True}
         more = {name: value for name, value in more.items() if name in known}
-        self._socket = connect(uri, compression=None, max_size=None, additional_headers=headers,
-                               open_timeout=open_timeout, close_timeout=1, **more)
+        try:
+            self._socket = connect(uri, compression=None, max_size=None, additional_headers=headers,
+                                   open_timeout=open_timeout, close_timeout=1, **more)
+        except WebSocketException as fault:
+            raise ServerError(f"{uri}: {fault}; give ws://HOST:PORT of a policy server, and its token if it asks for one"
+                              ) from fault
         self.metadata: Dict[str, Any] = self._exchange(None)
 
     def infer(self, observation: Mapping[str, Any], *, reset: bool = False,

@@ -15,7 +15,7 @@ import numpy
 from websockets.sync.server import serve
 
 import libero_parts
-from robostress import libero_success
+from robostress import Compensator, InvalidArgument, libero_success
 
 SUITE = "libero_object"
 
@@ -24,14 +24,14 @@ class Server:
     """A policy that holds still, and keeps what it was asked."""
 
     def __init__(self):
-        self.seen = []
+        self.seen, self.greeting = [], {"policies": [{"name": "still", "model_hash": "5a"}], "server": "robostress"}
         self._server = serve(self._talk, "127.0.0.1", 0, compression=None, max_size=None)
         self.uri = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
         self._thread = threading.Thread(target=self._server.serve_forever)
         self._thread.start()
 
     def _talk(self, connection):
-        connection.send(msgpack.packb({"policies": [{"name": "still", "model_hash": "5a"}], "server": "robostress"}))
+        connection.send(msgpack.packb(self.greeting))
         hold = numpy.tile(numpy.array([0, 0, 0, 0, 0, 0, -1], "<f4"), (10, 1))
         for frame in connection:
             self.seen.append(msgpack.unpackb(frame))
@@ -79,7 +79,7 @@ class Success(unittest.TestCase):
         self.assertEqual(len(asked), 2 * (2 + 3), "a chunk of 5 and one of 1; three of 2")
         self.assertEqual([message.get("reset", False) for message in asked], [True, False, True, False, False] * 2)
         self.assertEqual(asked[0]["prompt"], "pick up the alphabet soup and place it in the basket")
-        self.assertEqual(asked[0]["session"], {"resize": True})
+        self.assertEqual(asked[0]["session"], {"resize": True, "method": "base", "method_options": []})
         self.assertEqual(image(asked[0]["observation/image"]).shape, (32, 32, 3))
         # At rest above the floor: position, a hand that looks down, open fingers.
         state = image(asked[0]["observation/state"])
@@ -87,7 +87,8 @@ class Success(unittest.TestCase):
         self.assertTrue(0.2 < state[2] < 0.3 and abs(abs(state[3]) - numpy.pi) < 0.1 and state[6] > 0.03, state)
 
         code, again, messages = self.run_with(*few)
-        self.assertEqual((code, again, messages), (0, table, ""))
+        self.assertEqual((code, again), (0, table))
+        self.assertIn("4 of 4 episodes are from", messages)
         self.assertEqual(len(asked), 10)
         self.run_with(*few, "--rows", "3")
         self.assertEqual(len(asked), 10 + 2 * 2, "base alone has other rows")
@@ -98,12 +99,49 @@ class Success(unittest.TestCase):
         seen = {"agentview_image": view, "robot0_eye_in_hand_image": view + 12, "robot0_eef_pos": [1, 2, 3],
                 "robot0_eef_quat": [0, half, 0, numpy.cos(numpy.pi / 6)], "robot0_gripper_qpos": [4, -4]}
         client = unittest.mock.Mock(infer=unittest.mock.Mock(return_value={"actions": numpy.zeros((3, 32))}))
-        self.assertEqual(libero_success._Robot(client, "open it", True).chunk(seen, (4, 2)).shape, (3, 7))
+        self.assertEqual(libero_success._Robot(client, "open it", True).chunk(seen, 2, (4, 2)).shape, (2, 7))
         (asked,), more = client.infer.call_args
         self.assertEqual((more, asked["episode"]), ({"reset": True}, {"task": 4, "episode": 2}))
         numpy.testing.assert_array_equal(asked["observation/image"], [[[9, 10, 11], [6, 7, 8]], [[3, 4, 5], [0, 1, 2]]])
         numpy.testing.assert_array_equal(asked["observation/wrist_image"], asked["observation/image"] + 12)
         numpy.testing.assert_allclose(asked["observation/state"], [1, 2, 3, 0, numpy.pi / 3, 0, 4, -4], rtol=1e-6)
+
+    def test_every_episode_begins_among_the_same_fixtures_and_learns_by_its_chunks(self):
+        env, robot = unittest.mock.MagicMock(), unittest.mock.Mock()
+        env.step.return_value = ({}, 0, True, {})
+        robot.chunk.return_value = numpy.zeros((3, 7), numpy.float32)
+        robot.tool.return_value = ([0, 0, 1], [1, 0, 0, 0])
+        made = []
+        with unittest.mock.patch.object(libero_success, "Compensator",
+                                        side_effect=lambda *given, **more: made.append(Compensator(*given, **more)) or made[-1]):
+            libero_success._play(env, robot, "direct", 3, "state", 6, (0, 0))
+        self.assertEqual(env.mock_calls[:3], [unittest.mock.call.seed(7), unittest.mock.call.reset(),
+                                              unittest.mock.call.set_init_state("state")])
+        self.assertEqual(made[-1]._rows, 3)
+
+    def test_what_a_server_may_say_instead_of_actions(self):
+        for reply, message in (({}, "KeyError 'actions'"), ([1], "TypeError"), ({"actions": "go"}, "ValueError"),
+                               ({"actions": numpy.zeros(7)}, r"shape \[7\], must be \[5 or more, 7 or more\]"),
+                               ({"actions": numpy.zeros((4, 7))}, r"shape \[4, 7\]"),
+                               ({"actions": numpy.zeros((5, 6))}, r"shape \[5, 6\]")):
+            with self.assertRaisesRegex(InvalidArgument, message):
+                libero_success._actions(reply, 5)
+        self.assertEqual(libero_success._actions({"actions": numpy.zeros((50, 32))}, 5).shape, (5, 7))
+
+    def test_a_cut_off_line_and_an_unnamed_policy(self):
+        few = ("--tasks", "0", "--scenarios", "clean", "--methods", "base", "--episodes", "1", "--image-size", "32",
+               "--out", str(self.out))
+        self.run_with(*few)
+        whole = self.out.read_text()
+        self.out.write_text(whole + whole[:20])
+        code, table, messages = self.run_with(*few)
+        self.assertEqual((code, self.out.read_text()), (0, whole), messages)
+        self.assertIn("the last line was cut off", messages)
+        self.assertIn("1 of 1 episodes are from", messages)
+        self.server.greeting = {}
+        code, _, messages = self.run_with(*few)
+        self.assertEqual(code, 1)
+        self.assertIn("--out needs --policy-name", messages)
 
     def test_what_cannot_be_is_named(self):
         self.out.write_text('{"suite": "other"}\n')
@@ -113,6 +151,10 @@ class Success(unittest.TestCase):
                 (("--scenarios", "heavy_paylod"), "heavy_paylod is not one of clean"),
                 (("--methods", "ours_folowing"), "ours_folowing"),
                 (("--methods", "base/two"), "--methods base/two: .* base/2"),
+                (("--methods", "base,base/5"), "--methods: .*'base', 5.* is given twice"),
+                (("--tasks", "0-1,1"), "--tasks: 1 is given twice"),
+                (("--methods", "base/²"), "behind the slash"),
+                (("--out", "/nowhere/outcomes.jsonl"), "No such file or directory: '/nowhere/outcomes.jsonl'"),
                 (("--episodes", "0"), "--episodes is 0, must be 1 or more"),
                 (("--suite", "libero_goals"), "suite 'libero_goals' is not one of this LIBERO's: .*libero_goal"),
                 (("--out", str(self.out)), "outcomes.jsonl:1 is no outcome of this program")):
@@ -120,10 +162,11 @@ class Success(unittest.TestCase):
             self.assertEqual((code, table), (1, ""), arguments)
             self.assertRegex(messages, message)
         self.assertEqual(self.server.seen, [])
-        with unittest.mock.patch.object(self.server, "uri", "ws://127.0.0.1:9"):
-            code, _, messages = self.run_with("--tasks", "0", "--episodes", "1")
-        self.assertEqual(code, 1)
-        self.assertIn("127.0.0.1:9", messages)
+        for address in ("ws://127.0.0.1:9", "127.0.0.1:9"):
+            with unittest.mock.patch.object(self.server, "uri", address):
+                code, _, messages = self.run_with("--tasks", "0", "--episodes", "1")
+            self.assertEqual(code, 1)
+            self.assertIn(address, messages)
 
 
 if __name__ == "__main__":
