@@ -96,6 +96,11 @@ std::string TaskFolderOf(const std::string& suite) {
   return "";
 }
 
+bool IsLiberosOwn(const std::string& suite) {
+  const SuiteInfo* info = FindSuite(suite);
+  return info != nullptr && info->needs_libero && TaskFolderOf(suite).empty();
+}
+
 std::vector<std::string> SuitesOf(const std::string& robot) {
   std::vector<std::string> names;
   for (const SuiteInfo& suite : AllSuites()) {

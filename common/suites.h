@@ -30,6 +30,8 @@ const std::vector<SuiteInfo>& AllSuites();
 absl::StatusOr<std::string> AddTaskFolder(const std::string& folder);
 // The folder of a suite that AddTaskFolder made; empty for others.
 std::string TaskFolderOf(const std::string& suite);
+// One of LIBERO's own four, which nano-libero has learned; not those of task folders.
+bool IsLiberosOwn(const std::string& suite);
 // Names of the suites of a robot; those of task folders last.
 std::vector<std::string> SuitesOf(const std::string& robot);
 // Stays valid. A task folder's suite is found once it was added.

@@ -4,8 +4,10 @@
 #include <string>
 
 #include "common/command_line.h"
+#include "common/embedded_policies.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 #include "eval/close_loop/identify.h"
 #include "eval/close_loop/identify_response.h"
 #include "eval/close_loop/recording_flags.h"
@@ -42,7 +44,8 @@ int main(int argc, char** argv) {
   std::string arm_run;
   app.add_option("--run", arm_run, "A run of robot_client: reaches, or what `excite` plays");
   app.add_option("--out", options.out, "Directory to write")->required();
-  app.add_option("--policy", options.policy, "Whose episodes are recorded: nano, expert")
+  app.add_option("--policy", options.policy,
+                 "Whose episodes are recorded: nano (on LIBERO's suites nano-libero), expert")
       ->capture_default_str();
   robostress::AddRecordingFlags(app, options, tasks);
   const auto run = [&]() -> absl::Status {
@@ -56,6 +59,8 @@ int main(int argc, char** argv) {
       std::fputs(robostress::ResponseTable(response).c_str(), stdout);
       return absl::OkStatus();
     }
+    if (app.count("--policy") == 0 && robostress::IsLiberosOwn(options.suite))
+      options.policy = robostress::kLiberoPolicy;
     RS_RETURN_IF_ERROR(robostress::ReadTasks(tasks, options));
     RS_ASSIGN_OR_RETURN(const auto arms, robostress::Identify(options));
     std::fputs(robostress::IdentifiedTable(arms).c_str(), stdout);

@@ -1,5 +1,6 @@
 // robostress-paper: one table of the paper, planned, run and laid out like the paper's.
 
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <string>
@@ -7,8 +8,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/embedded_policies.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 #include "eval/launch/exit_code.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
@@ -92,9 +95,17 @@ void DeclareFlags(cli::App& app, CommandLine& line) {
   app.footer(kExamples);
 }
 
+// Those asked for, or of the policy that has learned LIBERO's suites where they are asked for.
+std::string Weights(const CommandLine& line) {
+  const std::vector<std::string>& suites = line.grid.suites;
+  const bool libero = !suites.empty() && std::all_of(suites.begin(), suites.end(), IsLiberosOwn);
+  return line.weights.empty() && libero ? kLiberoPolicy : line.weights;
+}
+
 absl::StatusOr<PaperProtocol> ProtocolFrom(const cli::App& app, const CommandLine& line) {
   PaperProtocol protocol = line.full ? FullProtocol() : QuickProtocol();
-  if (!line.weights.empty()) protocol = OnLibero(protocol, line.weights);
+  if (const std::string weights = Weights(line); !weights.empty())
+    protocol = OnLibero(protocol, weights);
   if (app.count("--dr-weights")) protocol.randomised = line.randomised;
   if (app.count("--robust-weights")) protocol.robust = line.robust;
   if (app.count("--cloning-weights")) protocol.cloning = line.cloning;
@@ -283,7 +294,7 @@ absl::StatusOr<int> Run(const cli::App& app, CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const std::vector<Work> all, Plan(line, protocol));
   if (line.out.empty()) {
     line.out = absl::StrCat("runs/paper-", line.full ? "full" : "quick",
-                            line.weights.empty() ? "" : "-libero");
+                            Weights(line).empty() ? "" : "-libero");
   }
   line.launch.run_dir = line.out;
   if (line.dry_run) return PrintTables(line, all);

@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "adapter/method_options.h"
+#include "common/embedded_policies.h"
 #include "common/suites.h"
 #include "eval/report/severity_section.h"
 #include "eval/statistics/comparison.h"
@@ -236,6 +237,11 @@ std::vector<std::string> Notes(const PaperTable& table, const PaperProtocol& pro
     notes.push_back(
         "Learning rates and the gain control's factor were chosen on other initial states and a "
         "scenario of its own (adapter/README.md); the paper's learning rate is 1e-6.");
+  }
+  if (PolicyLabel(protocol.base) == kLiberoPolicy) {
+    notes.push_back(
+        "nano-libero has the graph of pi0 at a small fraction of its size: compare directions, not "
+        "levels.");
   }
   std::vector<std::string> missing;
   for (const PaperColumn& column : table.columns) {

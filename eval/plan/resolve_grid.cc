@@ -280,10 +280,17 @@ absl::Status CheckUnits(SweepGrid grid) {
 }
 
 // What a grid that names no policy evaluates on its suites.
-std::string DefaultPolicy(const SweepGrid& grid, const RobotInfo& robot) {
+std::string DefaultPolicy(const SweepGrid& grid, const RobotInfo& robot, Complaints& complaints) {
   if (grid.remote.used()) return "remote";
-  return std::all_of(grid.suites.begin(), grid.suites.end(), NeedsLibero) ? kLiberoPolicy
-                                                                          : robot.policy;
+  if (robot.name != "panda" || std::none_of(grid.suites.begin(), grid.suites.end(), NeedsLibero))
+    return robot.policy;
+  if (!std::all_of(grid.suites.begin(), grid.suites.end(), IsLiberosOwn)) {
+    complaints.Add(absl::StrCat("no policy here has learned all of ",
+                                absl::StrJoin(grid.suites, ", "), "; name one: --policies NAME (",
+                                robot.policy, " has learned the embedded suites, ", kLiberoPolicy,
+                                " LIBERO's own four)"));
+  }
+  return kLiberoPolicy;
 }
 
 }  // namespace
@@ -303,7 +310,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   }
   if (grid.suites.empty()) grid.suites = robot.suites;
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
-  if (grid.policies.empty()) grid.policies = {DefaultPolicy(grid, robot)};
+  if (grid.policies.empty()) grid.policies = {DefaultPolicy(grid, robot, complaints)};
   if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
     grid.libero_root = LiberoRoot(grid.libero_root, "LIBERO_ROOT");
     grid.robosuite_root = LiberoRoot(grid.robosuite_root, "ROBOSUITE_ROOT");
