@@ -47,7 +47,8 @@ class _Arrays(pickle.Unpickler):
         return super().find_class(module, name)
 
 
-def _stored_states(path: pathlib.Path) -> np.ndarray:
+def stored_states(path: pathlib.Path) -> np.ndarray:
+    """[states, 1 + nq + nv] of a .pruned_init file, read without Torch."""
     try:
         with zipfile.ZipFile(path) as archive:
             with archive.open(next(name for name in archive.namelist() if name.endswith("data.pkl"))) as file:
@@ -91,7 +92,7 @@ class _Libero:
         self._files = {key: pathlib.Path(libero.libero.get_libero_path(key)) / suite for key in ("bddl_files", "init_states")}
 
     def states(self, task: int) -> np.ndarray:
-        return _stored_states(self._files["init_states"] / f"{self.names[task]}.pruned_init")
+        return stored_states(self._files["init_states"] / f"{self.names[task]}.pruned_init")
 
     def environment(self, task: int, side: int) -> Any:
         return self._make(bddl_file_name=str(self._files["bddl_files"] / f"{self.names[task]}.bddl"),
@@ -236,6 +237,8 @@ def _numbers(text: str) -> Optional[List[int]]:
         first, dash, last = part.partition("-")
         if not (first.isascii() and first.isdigit() and (not dash or (last.isascii() and last.isdigit()))):
             raise argparse.ArgumentTypeError(f"'{text}' is neither indices (0,3) nor a range (2-5) nor all")
+        if dash and int(last) < int(first):
+            raise argparse.ArgumentTypeError(f"'{part}' ends before it begins")
         numbers.extend(range(int(first), int(last or first) + 1))
     return numbers
 

@@ -2,14 +2,13 @@
 import json
 import os
 import pathlib
-import pickle
 import re
 import struct
 import tempfile
-import zipfile
 import zlib
 
 import numpy as np
+from robostress.libero_success import stored_states
 
 SHARED = pathlib.Path(os.environ.get("ROBOSTRESS_SHARED") or pathlib.Path(__file__).parents[4] / "shared")
 TREE, RECORDED = SHARED / "data/libero_tree/libero/libero", SHARED / "oracles/libero"
@@ -60,19 +59,8 @@ def use_assets(folder):
     libero.libero._assets_path_cache = str(assets)
 
 
-class ArraysOnly(pickle.Unpickler):
-    def find_class(self, module, name):
-        if (module, name) not in {("numpy", "ndarray"), ("numpy", "dtype"), ("_codecs", "encode"),
-                                  ("numpy.core.multiarray", "_reconstruct"), ("numpy.core.multiarray", "scalar")}:
-            raise pickle.UnpicklingError(f"{module}.{name} is not part of an array")
-        return super().find_class(module, name)
-
-
 def initial_states(suite, name):
-    with zipfile.ZipFile(TREE / "init_files" / suite / f"{name}.pruned_init") as archive:
-        inside = next(n for n in archive.namelist() if n.endswith("data.pkl"))
-        with archive.open(inside) as file:
-            return np.asarray(ArraysOnly(file).load(), dtype=np.float64)
+    return stored_states(TREE / "init_files" / suite / f"{name}.pruned_init")
 
 
 def recorded(task):

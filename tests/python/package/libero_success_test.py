@@ -1,4 +1,5 @@
 """The table of success in LIBERO's tasks, against a policy server in this process, with the shared tree's assets."""
+import argparse
 import contextlib
 import io
 import json
@@ -118,6 +119,13 @@ class Success(unittest.TestCase):
         self.assertEqual(env.mock_calls[:3], [unittest.mock.call.seed(7), unittest.mock.call.reset(),
                                               unittest.mock.call.set_init_state("state")])
         self.assertEqual(made[-1]._rows, 3)
+
+    def test_tasks(self):
+        self.assertEqual(libero_success._numbers("0,3-5"), [0, 3, 4, 5])
+        self.assertIsNone(libero_success._numbers("all"))
+        for text in ("5-2", "two", "1-", "-1", ""):
+            with self.assertRaises(argparse.ArgumentTypeError, msg=text):
+                libero_success._numbers(text)
 
     def test_what_a_server_may_say_instead_of_actions(self):
         for reply, message in (({}, "KeyError 'actions'"), ([1], "TypeError"), ({"actions": "go"}, "ValueError"),
