@@ -6,13 +6,9 @@
 #include <atomic>
 #include <cmath>
 #include <cstdlib>
-#include <memory>
 #include <new>
-#include <optional>
-#include <thread>
 
-#include "tests/robot_client/answer_to.h"
-#include "tests/robot_client/fake_arm.h"
+#include "tests/robot_client/control/client_bench.h"
 
 namespace {
 thread_local bool count_allocations = false;
@@ -36,78 +32,6 @@ namespace {
 
 using ::testing::HasSubstr;
 
-constexpr int64_t kPeriod_ns = 33'333'333;
-
-struct FakeStamps : CameraStamps {
-  int64_t Oldest() const override { return stamp_ns; }
-  int64_t stamp_ns = 0;
-};
-
-// A client in simulated time against a fake arm; the policy moves J1 at 0.3 rad/s.
-struct Bench {
-  ManualClock clock{1'000'000'000};
-  FakeArm arm{&clock};
-  FakeStamps cameras;
-  SpscRing<TickRecord> records{1 << 12};
-  std::unique_ptr<ControlLoop> loop;
-  std::vector<TickRecord> seen;
-  bool server_alive = true, camera_alive = true;
-  int latency_ticks = 0;
-  std::vector<std::pair<int64_t, ArmChunk>> on_the_way;
-  double policy_speed = 0.3;
-  double policy_offset = 0;  // [rad], where chunks start against the observation
-  std::optional<double> policy_opening;
-
-  explicit Bench(const ControlOptions& options = {}, const ArmModel* model = nullptr) {
-    EXPECT_TRUE(arm.Connect().ok());
-    auto made = ControlLoop::Create(options, &arm, &clock, &cameras, model);
-    EXPECT_TRUE(made.ok()) << made.status();
-    loop = *std::move(made);
-    loop->AddReader(&records);
-    loop->OnPredictionRequested([this] { Serve(); });
-  }
-
-  void Serve() {
-    PredictionRequest request;
-    while (loop->prediction_requests().Pop(request)) {
-      if (!server_alive) continue;
-      const ArmChunk chunk = AnswerTo(request, [&](int i) {
-        ArmVector target = request.position;
-        target[0] += policy_offset + policy_speed * (i + 1) / 30.0;
-        if (policy_opening) target[ArmAxes().opening()] = *policy_opening;
-        return target;
-      });
-      on_the_way.emplace_back(clock.now_ns() + latency_ticks * kPeriod_ns, chunk);
-    }
-    Deliver();
-  }
-  void Deliver() {
-    while (!on_the_way.empty() && on_the_way.front().first <= clock.now_ns()) {
-      loop->AnswerPrediction(on_the_way.front().second);
-      on_the_way.erase(on_the_way.begin());
-    }
-  }
-  TickRecord Tick(uint32_t requests = 0) {
-    clock.Advance(kPeriod_ns);
-    if (camera_alive) cameras.stamp_ns = clock.now_ns() - 10'000'000;
-    Deliver();
-    if (requests != 0) loop->Ask(requests);
-    loop->Tick(clock.now_ns());
-    TickRecord record;
-    while (records.Pop(record)) seen.push_back(record);
-    return seen.back();
-  }
-  void Start() {
-    Tick(kRequestEnable);
-    EXPECT_EQ(loop->state(), ClientState::kEnabled);
-    Tick(kRequestStart);
-    EXPECT_EQ(loop->state(), ClientState::kRun);
-  }
-  void Ticks(int n) {
-    for (int i = 0; i < n; ++i) Tick();
-  }
-};
-
 double LargestStep(const std::vector<TickRecord>& records, size_t first) {
   double largest = 0;
   for (size_t i = first + 1; i < records.size(); ++i)
@@ -116,7 +40,7 @@ double LargestStep(const std::vector<TickRecord>& records, size_t first) {
 }
 
 TEST(ControlLoopTest, SendsNothingBeforeAPersonEnables) {
-  Bench bench;
+  ClientBench bench;
   bench.Ticks(30);
   bench.Tick(kRequestStart | kRequestResume);
   EXPECT_EQ(bench.arm.sends, 0);
@@ -125,7 +49,7 @@ TEST(ControlLoopTest, SendsNothingBeforeAPersonEnables) {
 }
 
 TEST(ControlLoopTest, TheFirstCommandIsWhereTheArmStands) {
-  Bench bench;
+  ClientBench bench;
   bench.arm.bias = 0.01;
   bench.Tick(kRequestEnable);
   for (int j = 0; j < ArmAxes().count(); ++j)
@@ -156,7 +80,7 @@ TEST(ControlLoopTest, AnArmAtRestBeyondItsLimitsStartsAtTheNearestOne) {
 }
 
 TEST(ControlLoopTest, AFailedEnableStaysIdleAndSaysWhy) {
-  Bench bench;
+  ClientBench bench;
   bench.arm.refuse_enable = true;
   bench.Tick(kRequestEnable);
   EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
@@ -164,7 +88,7 @@ TEST(ControlLoopTest, AFailedEnableStaysIdleAndSaysWhy) {
 }
 
 TEST(ControlLoopTest, PlaysTenRowsOfEachPredictionAndRecordsEveryStage) {
-  Bench bench;
+  ClientBench bench;
   bench.Start();
   bench.Ticks(45);
   int played = 0;
@@ -182,7 +106,7 @@ TEST(ControlLoopTest, PlaysTenRowsOfEachPredictionAndRecordsEveryStage) {
 }
 
 TEST(ControlLoopTest, EntersLateChunksAtTheDueRowAndStaysSmooth) {
-  Bench bench;
+  ClientBench bench;
   bench.latency_ticks = 3;
   bench.Start();
   bench.Ticks(60);
@@ -198,7 +122,7 @@ TEST(ControlLoopTest, EntersLateChunksAtTheDueRowAndStaysSmooth) {
 }
 
 TEST(ControlLoopTest, AnEmptyQueueDeceleratesHoldsAndGoesOnByItself) {
-  Bench bench;
+  ClientBench bench;
   bench.Start();
   bench.Ticks(9);
   bench.server_alive = false;
@@ -217,519 +141,6 @@ TEST(ControlLoopTest, AnEmptyQueueDeceleratesHoldsAndGoesOnByItself) {
   EXPECT_EQ(bench.loop->state(), ClientState::kRun);
   bench.Tick();
   EXPECT_TRUE(bench.seen.back().flags & kTickPlayed);
-}
-
-// Cause by cause: what happens in mid-motion, which state follows, and how long the command moves.
-struct Mishap {
-  const char* name;
-  void (*happen)(Bench&);
-  ClientState state;
-  StateCause cause;
-  int within_ticks;
-};
-class MishapTest : public ::testing::TestWithParam<Mishap> {};
-
-TEST_P(MishapTest, TheArmHoldsInTime) {
-  const Mishap& mishap = GetParam();
-  Bench bench;
-  bench.policy_speed = 0.6;
-  bench.Start();
-  bench.Ticks(25);
-  ASSERT_GT(std::abs(bench.seen.back().sent[0] - bench.seen[bench.seen.size() - 2].sent[0]), 0.01);
-  mishap.happen(bench);
-  int ticks = 0;
-  while (bench.Tick().state != mishap.state && ticks < 200) ++ticks;
-  EXPECT_EQ(bench.loop->state(), mishap.state);
-  EXPECT_EQ(bench.seen.back().cause, mishap.cause);
-  EXPECT_LE(ticks, mishap.within_ticks);
-  const int sends = bench.arm.sends;
-  bench.Ticks(40);  // 1 rad/s is gone after 9; then the command goes back to where the arm stands
-  const ArmVector rest = bench.arm.last.position;
-  bench.Ticks(100);
-  EXPECT_EQ(bench.arm.last.position, rest) << "it does not move any more";
-  if (mishap.state == ClientState::kFault) {
-    EXPECT_EQ(bench.arm.sends, sends) << "a fault sends nothing";
-  }
-  EXPECT_EQ(bench.arm.enables, 1) << "nothing enables it again";
-  EXPECT_EQ(bench.arm.disables, 0) << "nothing drops it";
-}
-
-INSTANTIATE_TEST_SUITE_P(
-    Causes, MishapTest,
-    ::testing::Values(Mishap{"server_killed", [](Bench& b) { b.server_alive = false; },
-                             ClientState::kHold, StateCause::kServerSilent, 82},
-                      Mishap{"camera_unplugged", [](Bench& b) { b.camera_alive = false; },
-                             ClientState::kHold, StateCause::kCameraStale, 15},
-                      Mishap{"arm_silent", [](Bench& b) { b.arm.silent = true; },
-                             ClientState::kHold, StateCause::kArmSilent, 2},
-                      Mishap{"arm_silent_for_long", [](Bench& b) { b.arm.silent = true; },
-                             ClientState::kFault, StateCause::kArmSilent, 8},
-                      Mishap{"arm_fault", [](Bench& b) { b.arm.faults = kFaultCollision; },
-                             ClientState::kFault, StateCause::kArmFault, 0},
-                      Mishap{"enable_lost", [](Bench& b) { b.arm.lost_enable = true; },
-                             ClientState::kFault, StateCause::kArmDisabled, 0},
-                      Mishap{"bus_off", [](Bench& b) { b.arm.refuse_send = true; },
-                             ClientState::kHold, StateCause::kSendFailed, 3},
-                      Mishap{"blocked",
-                             [](Bench& b) {
-                               b.arm.blocked = true;
-                               b.policy_speed = 2;
-                               b.policy_offset = 0.4;
-                             },
-                             ClientState::kHold, StateCause::kBlocked, 60},
-                      Mishap{"operator", [](Bench& b) { b.loop->Ask(kRequestHold); },
-                             ClientState::kHold, StateCause::kOperator, 0}),
-    [](const auto& info) { return std::string(info.param.name); });
-
-TEST(ControlLoopTest, TheSecondStageOfAStopRepeatsTheDampedStop) {
-  Bench bench;
-  bench.Start();
-  bench.Ticks(20);
-  bench.Tick(kRequestHold);
-  EXPECT_EQ(bench.arm.quick_stops, 0);
-  bench.Tick(kRequestQuickStop);
-  const int sends = bench.arm.sends;
-  bench.Ticks(10);
-  EXPECT_EQ(bench.arm.quick_stops, 11);
-  EXPECT_EQ(bench.arm.sends, sends);
-  EXPECT_EQ(bench.seen.back().cause, StateCause::kQuickStop);
-}
-
-TEST(ControlLoopTest, APressHoldsAndASecondOneSoonAfterIsTheQuickStop) {
-  Bench bench;
-  std::atomic<int> presses{0};
-  bench.loop->ObeyStops(&presses);
-  bench.Start();
-  bench.Ticks(10);
-  ++presses;
-  bench.Tick();
-  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
-  bench.Ticks(95);  // more than three seconds
-  bench.Tick(kRequestResume);
-  bench.Ticks(10);
-  ++presses;
-  bench.Tick();
-  EXPECT_EQ(bench.loop->state(), ClientState::kHold) << "a first press again";
-  bench.Ticks(20);
-  EXPECT_EQ(bench.arm.quick_stops, 0);
-  ++presses;
-  bench.Tick();
-  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
-  EXPECT_EQ(bench.arm.quick_stops, 1);
-}
-
-TEST(ControlLoopTest, TwoPressesBetweenTwoTicksAreTheQuickStop) {
-  Bench bench;
-  std::atomic<int> presses{0};
-  bench.loop->ObeyStops(&presses);
-  bench.Start();
-  presses += 2;
-  bench.Tick();
-  EXPECT_EQ(bench.seen.back().cause, StateCause::kQuickStop);
-}
-
-TEST(ControlLoopTest, AfterAFaultTheArmMustBeClearedAndEnabledAgain) {
-  Bench bench;
-  bench.Start();
-  bench.Ticks(10);
-  bench.arm.faults = kFaultStall;
-  bench.Tick();
-  ASSERT_EQ(bench.loop->state(), ClientState::kFault);
-  bench.Tick(kRequestClear);
-  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kMoving);
-  bench.Ticks(30);
-  bench.Tick(kRequestClear);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kFaults);
-  bench.arm.faults = 0;
-  bench.Ticks(5);
-  EXPECT_EQ(bench.loop->state(), ClientState::kFault) << "latched";
-  bench.Tick(kRequestClear);
-  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
-  bench.Tick(kRequestEnable);
-  bench.Tick(kRequestStart);
-  bench.Ticks(3);
-  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
-  EXPECT_EQ(bench.loop->episode(), 1);
-}
-
-// ----------------------------------------------------------- set going only where it stands now
-
-TEST(ControlLoopTest, NothingIsEnabledOnAPoseThatIsOld) {
-  Bench bench;
-  bench.Ticks(10);
-  bench.arm.silent = true;
-  bench.Ticks(3);
-  bench.Tick(kRequestEnable);
-  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
-  EXPECT_EQ(bench.arm.enables, 0) << "it got no power";
-  EXPECT_EQ(bench.arm.sends, 0);
-  EXPECT_THAT(std::string(bench.loop->enable_status().message()),
-              ::testing::AllOf(::testing::HasSubstr("old"), ::testing::HasSubstr("ms")));
-}
-
-TEST(ControlLoopTest, AnArmThatMovesIsNotEnabledClearedOrStarted) {
-  Bench bench;
-  bench.arm.drift = 0.06;
-  bench.Ticks(3);
-  bench.Tick(kRequestEnable);
-  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
-  EXPECT_EQ(bench.arm.enables, 0);
-  EXPECT_THAT(std::string(bench.loop->enable_status().message()), ::testing::HasSubstr("moves"));
-  bench.arm.drift = 0;
-  bench.Ticks(5);
-  bench.Tick(kRequestEnable);
-  ASSERT_EQ(bench.loop->state(), ClientState::kEnabled);
-  bench.arm.drift = 0.06;
-  bench.Tick(kRequestStart);
-  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kMoving);
-}
-
-// As it was found: a fault for silence, the arm moved by hand meanwhile, clear, enable.
-TEST(ControlLoopTest, AfterSilenceTheFirstCommandIsWhereTheArmIsNow) {
-  Bench bench;
-  bench.Start();
-  bench.Ticks(20);
-  bench.arm.silent = true;
-  bench.Ticks(12);
-  ASSERT_EQ(bench.loop->state(), ClientState::kFault);
-  bench.Tick(kRequestClear);
-  EXPECT_EQ(bench.loop->state(), ClientState::kFault) << "nobody knows where it is";
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kStale);
-  bench.arm.silent = false;
-  bench.arm.bias = 0.4;  // somewhere else
-  bench.arm.Send({bench.arm.Latest().position}).IgnoreError();
-  bench.Ticks(60);
-  bench.Tick(kRequestClear);
-  ASSERT_EQ(bench.loop->state(), ClientState::kIdle);
-  const ArmVector stands = bench.arm.Latest().position;
-  bench.Tick(kRequestEnable);
-  ASSERT_EQ(bench.loop->state(), ClientState::kEnabled);
-  for (int j = 0; j < ArmAxes().joints; ++j)
-    EXPECT_NEAR(bench.arm.last.position[j], stands[j], 1e-3) << j;
-  bench.Ticks(10);
-  for (int j = 0; j < ArmAxes().joints; ++j)
-    EXPECT_NEAR(bench.arm.last.position[j], stands[j], 1e-3) << j;
-}
-
-TEST(ControlLoopTest, AnEpisodeStartsOnlyWhereTheArmIsSent) {
-  Bench bench;
-  bench.Tick(kRequestEnable);
-  bench.Ticks(5);
-  bench.arm.blocked = true;
-  bench.arm.bias = 0;
-  bench.arm.blocked_at(0, bench.arm.Latest().position[0] + 0.2);
-  bench.Ticks(2);
-  bench.Tick(kRequestStart);
-  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kApart);
-}
-
-TEST(ControlLoopTest, AnEnableThatIsUnderWayIsCancelledByAPress) {
-  struct SlowArm : FakeArm {
-    using FakeArm::FakeArm;
-    absl::Status Enable(const std::function<bool()>& cancelled) override {
-      during();
-      return cancelled() ? absl::CancelledError("cancelled") : FakeArm::Enable(cancelled);
-    }
-    std::function<void()> during;
-  };
-  for (int kind = 0; kind < 3; ++kind) {
-    ManualClock clock{1'000'000'000};
-    SlowArm arm(&clock);
-    ASSERT_TRUE(arm.Connect().ok());
-    NoCameras cameras;
-    auto loop = *ControlLoop::Create({}, &arm, &clock, &cameras);
-    std::atomic<int> presses{0}, gentle{0};
-    loop->ObeyStops(&presses, &gentle);
-    arm.during = [&] {
-      if (kind == 0) ++presses;
-      if (kind == 1) ++gentle;
-      if (kind == 2) loop->Ask(kRequestHold);
-    };
-    loop->Ask(kRequestEnable);
-    loop->Tick(clock.now_ns());
-    EXPECT_EQ(loop->state(), ClientState::kIdle) << kind;
-    EXPECT_EQ(arm.enables, 0) << kind;
-  }
-}
-
-TEST(ControlLoopTest, ATerminationHoldsHoweverOftenItComes) {
-  Bench bench;
-  std::atomic<int> presses{0}, gentle{0};
-  bench.loop->ObeyStops(&presses, &gentle);
-  bench.Start();
-  bench.Ticks(10);
-  gentle += 2;
-  bench.Tick();
-  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
-  ++gentle;
-  bench.Ticks(10);
-  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
-  EXPECT_EQ(bench.arm.quick_stops, 0) << "the arm does not sink";
-}
-
-// ------------------------------------------------------------------------- pressing and bounds
-
-// Torques of nothing, and a wall at J1 = `wall`.
-struct WallModel : ArmModel {
-  ArmVector Torque(const ArmVector&, const ArmVector&, const ArmVector&,
-                   double payload_kg) const override {
-    ArmVector torque{};
-    torque[1] = 10 * payload_kg;
-    return torque;
-  }
-  Clearance ClearanceAt(const ArmVector& position) const override {
-    return {wall - position[0], 1, 1};
-  }
-  double wall = 10;
-};
-
-TEST(ControlLoopTest, TorqueBeyondTheModelIsHeldWithinTenthsAndTheCommandGoesBack) {
-  WallModel model;
-  Bench bench({}, &model);
-  bench.policy_speed = 0.9;
-  bench.Start();
-  bench.Ticks(10);
-  bench.arm.blocked = true;
-  bench.arm.effort[1] = 10.9;  // 5 Nm a payload explains, 6 are allowed
-  bench.Ticks(10);
-  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
-  bench.arm.effort[1] = 11.1;
-  int ticks = 1;
-  for (; bench.Tick().state == ClientState::kRun; ++ticks) ASSERT_LT(ticks, 10);
-  EXPECT_EQ(bench.seen.back().cause, StateCause::kPressing);
-  EXPECT_LE(ticks, 3) << "0.1 s";
-  EXPECT_NEAR(bench.seen.back().excess[1], 6.1, 1e-9);
-  bench.Ticks(90);
-  for (int j = 0; j < ArmAxes().joints; ++j) {
-    EXPECT_NEAR(bench.arm.last.position[j], bench.seen.back().position[j] - (j <= 1 ? 0.02 : 0),
-                1e-3)
-        << "J1 and J2 give way to what they press against";
-  }
-  bench.arm.effort[1] = 60;
-  Bench sudden({}, &model);
-  sudden.Start();
-  sudden.Ticks(5);
-  sudden.arm.effort[1] = 17.1;
-  EXPECT_EQ(sudden.Tick().state, ClientState::kHold) << "twice as much at once";
-}
-
-TEST(ControlLoopTest, AnArmThatGivesWayDoesNotDoSoForEver) {
-  WallModel model;
-  Bench bench({}, &model);
-  bench.Tick(kRequestEnable);
-  const double stood = bench.arm.Latest().position[1];
-  bench.arm.effort[1] = 30;  // a weight that nobody declared
-  bench.Ticks(300);
-  EXPECT_NEAR(bench.arm.last.position[1], stood - 0.2, 1e-6);
-}
-
-TEST(ControlLoopTest, ABlockedJointIsHeldThoughEachChunkBeginsWhereItStands) {
-  Bench bench;  // no model: an arm without torques
-  bench.policy_speed = 0.6;
-  bench.Start();
-  bench.Ticks(25);
-  bench.arm.blocked = true;
-  int ticks = 0;
-  while (bench.Tick().state == ClientState::kRun && ticks < 100) ++ticks;
-  EXPECT_EQ(bench.seen.back().cause, StateCause::kBlocked);
-  EXPECT_LE(ticks, 40);
-  double worst = 0;
-  for (const TickRecord& r : bench.seen)
-    worst = std::max(worst, std::abs(r.sent[0] - r.position[0]));
-  EXPECT_LT(worst, 0.35) << "the following error alone would not have seen it";
-}
-
-TEST(ControlLoopTest, AFaultLetsGoOnceAndThenSendsNothing) {
-  Bench bench;
-  bench.policy_speed = 0.9;
-  bench.Start();
-  bench.Ticks(15);
-  bench.arm.blocked = true;
-  bench.Ticks(5);
-  ASSERT_GT(std::abs(bench.arm.last.position[0] - bench.arm.Latest().position[0]), 0.05);
-  bench.arm.faults = kFaultStall;
-  const int sends = bench.arm.sends;
-  bench.Tick();
-  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
-  EXPECT_EQ(bench.arm.sends, sends + 1);
-  EXPECT_EQ(bench.arm.last.position[0], bench.arm.Latest().position[0]);
-  bench.Ticks(10);
-  EXPECT_EQ(bench.arm.sends, sends + 1);
-}
-
-// In mid-motion, with something 30 mm wide between fingers that were told to close.
-struct GraspBench : Bench {
-  GraspBench() {
-    policy_speed = 0.9;
-    policy_opening = 0;
-    arm.grasped = 0.03;
-    Start();
-    Ticks(20);
-    EXPECT_NEAR(Opening(), 0, 1e-4);
-    arm.blocked = true;
-    Ticks(5);
-  }
-  double Opening() const { return arm.last.position[ArmAxes().opening()]; }
-  void Fault(uint32_t fault) {
-    arm.faults = fault;
-    Tick();
-    EXPECT_EQ(loop->state(), ClientState::kFault);
-  }
-  void EnableAgain() {
-    arm.faults = 0;
-    Ticks(10);
-    Tick(kRequestClear);
-    Tick(kRequestEnable);
-    EXPECT_EQ(loop->state(), ClientState::kEnabled);
-  }
-};
-
-TEST(ControlLoopTest, WhatTheGripperHoldsStaysHeldWhereTheJointsLetGo) {
-  GraspBench held;
-  for (int i = 0; i < 60 && held.loop->state() == ClientState::kRun; ++i) held.Tick();
-  EXPECT_EQ(held.loop->cause(), StateCause::kBlocked);
-  held.Ticks(60);
-  EXPECT_NEAR(held.arm.last.position[0], held.arm.Latest().position[0], 0.03);
-  EXPECT_NEAR(held.Opening(), 0, 1e-4);
-
-  GraspBench fault;
-  fault.Fault(kFaultStall);
-  EXPECT_EQ(fault.arm.last.position[0], fault.arm.Latest().position[0]);
-  EXPECT_NEAR(fault.Opening(), 0, 1e-4);
-  fault.EnableAgain();
-  EXPECT_EQ(fault.arm.last.position[0], fault.arm.Latest().position[0]);
-  EXPECT_NEAR(fault.Opening(), 0, 1e-4);
-}
-
-// Somebody's fingers may be between its own.
-TEST(ControlLoopTest, AGripperThatWasLimpOrAtFaultDoesNotCloseAgain) {
-  GraspBench limp;
-  limp.Fault(kFaultStall);
-  limp.arm.lost_enable = true;
-  limp.Ticks(3);
-  limp.arm.lost_enable = false;
-  limp.EnableAgain();
-  EXPECT_NEAR(limp.Opening(), 0.03, 1e-9);
-
-  GraspBench strained;
-  strained.arm.blocked = false;
-  strained.policy_speed = 0;
-  strained.Ticks(60);
-  strained.Fault(kFaultGripper);
-  EXPECT_NEAR(strained.Opening(), 0.03, 1e-9) << "though its joints stand at their command";
-  strained.EnableAgain();
-  EXPECT_NEAR(strained.Opening(), 0.03, 1e-9);
-}
-
-TEST(ControlLoopTest, IsSettledOnceCommandAndArmStand) {
-  Bench bench;
-  EXPECT_TRUE(bench.loop->settled());
-  bench.policy_speed = 0.9;
-  bench.Start();
-  bench.Ticks(20);
-  EXPECT_FALSE(bench.loop->settled());
-  bench.loop->Ask(kRequestHold);
-  EXPECT_FALSE(bench.loop->settled());
-  int ticks = 0;
-  while (!bench.loop->settled() && ++ticks < 60) bench.Tick();
-  EXPECT_GT(ticks, 5) << "it brakes";
-  EXPECT_LT(ticks, 30);
-  const ArmVector rest = bench.arm.last.position;
-  bench.loop->Ask(kRequestResume);
-  EXPECT_FALSE(bench.loop->settled()) << "who knows what becomes of it";
-  bench.loop->Ask(kRequestHold);
-  bench.Ticks(10);
-  EXPECT_TRUE(bench.loop->settled());
-  EXPECT_EQ(bench.arm.last.position, rest);
-}
-
-TEST(ControlLoopTest, NoCommandAndNoBrakingCrossesABoundOfTheWorkspace) {
-  WallModel model;
-  model.wall = 0.45;
-  Bench bench({}, &model);
-  bench.policy_speed = 1.4;
-  bench.Start();
-  for (int i = 0; i < 120 && bench.loop->state() == ClientState::kRun; ++i) bench.Tick();
-  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
-  EXPECT_EQ(bench.seen.back().cause, StateCause::kWorkspace);
-  EXPECT_EQ(bench.loop->crossed(), ArmModel::kTable);
-  double furthest = 0;
-  for (const TickRecord& r : bench.seen) furthest = std::max(furthest, r.sent[0]);
-  EXPECT_LE(furthest, model.wall);
-  EXPECT_GT(furthest, model.wall - 0.1) << "it goes up to it";
-  bench.Ticks(20);
-  bench.policy_speed = -0.6;
-  bench.Tick(kRequestResume);
-  bench.Ticks(60);
-  EXPECT_EQ(bench.loop->state(), ClientState::kRun)
-      << CauseName(bench.loop->cause()) << ": away from it is free";
-  EXPECT_LT(bench.seen.back().sent[0], furthest - 0.2);
-}
-
-// What of the way to rest is not looked at may cross a bound.
-TEST(ControlLoopTest, AnArmThatBrakesForLongerThanIsLookedAheadIsRefused) {
-  WallModel model;
-  ManualClock clock{1'000'000'000};
-  FakeArm arm(&clock);
-  FakeStamps cameras;
-  ASSERT_TRUE(arm.Connect().ok());
-  ControlOptions options;
-  const auto create = [&](const ArmModel* known) {
-    return ControlLoop::Create(options, &arm, &clock, &cameras, known).status();
-  };
-  options.rate_hz = 200;
-  EXPECT_TRUE(create(&model).ok());
-  options.limits.joint_velocity = 3;
-  const absl::Status refused = create(&model);
-  EXPECT_TRUE(absl::IsInvalidArgument(refused));
-  EXPECT_THAT(std::string(refused.message()),
-              ::testing::AllOf(HasSubstr("joint_velocity is 3 rad/s, joint_acceleration 5 rad/s^2"),
-                               HasSubstr("control.rate_hz 200: J1 brakes for up to 16"),
-                               HasSubstr("looked for in 100; lower the velocity")));
-  EXPECT_TRUE(create(nullptr).ok()) << "nothing is looked for";
-  options.workspace.guard = false;
-  EXPECT_TRUE(create(&model).ok());
-  options.workspace.guard = true;
-  options.rate_hz = 100;
-  EXPECT_TRUE(create(&model).ok());
-  options.limits.gripper_acceleration = 0.1;
-  EXPECT_THAT(std::string(create(&model).message()), HasSubstr("gripper_acceleration 0.1"));
-}
-
-TEST(ControlLoopTest, APolicyRunsOnlyInsideTheWorkspace) {
-  WallModel model;
-  model.wall = -0.05;  // the arm stands 50 mm into it
-  Bench bench({}, &model);
-  bench.Tick(kRequestEnable);
-  bench.Tick(kRequestStart);
-  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kOutside);
-  EXPECT_EQ(bench.loop->crossed(), ArmModel::kTable);
-  EXPECT_NEAR(bench.loop->outside_m(), 0.05, 1e-9);
-  ArmPath out;
-  for (int i = 1; i <= 60; ++i) {
-    out.rows.push_back(bench.arm.Latest().position);
-    out.rows.back()[0] = -0.2 * i / 60;
-  }
-  bench.loop->Play(&out);
-  for (int i = 0; i < 150 && bench.loop->cause() != StateCause::kArrived; ++i) bench.Tick();
-  ASSERT_EQ(bench.loop->cause(), StateCause::kArrived) << "a way of the client's own leads out";
-  bench.Ticks(10);
-  bench.Tick(kRequestStart);
-  ASSERT_EQ(bench.loop->state(), ClientState::kRun);
-  bench.Tick(kRequestHold);
-  bench.Ticks(20);
-  model.wall = -0.3;
-  bench.Tick(kRequestResume);
-  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kOutside);
-  model.wall = 10;
-  bench.Tick(kRequestResume);
-  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
-  EXPECT_EQ(bench.loop->refusal(), Refusal::kNone);
 }
 
 TEST(ControlLoopTest, ADelayThatIsConstantIsEstimatedAndHeld) {
@@ -783,7 +194,7 @@ TEST(ControlLoopTest, ADelayThatIsConstantIsEstimatedAndHeld) {
 }
 
 TEST(ControlLoopTest, AWayOfItsOwnArrivesAndEnterStopsItAtOnce) {
-  Bench bench;
+  ClientBench bench;
   bench.server_alive = false;  // nobody else is needed
   bench.camera_alive = false;
   bench.Tick(kRequestEnable);
@@ -817,7 +228,7 @@ TEST(ControlLoopTest, AWayOfItsOwnArrivesAndEnterStopsItAtOnce) {
 }
 
 TEST(ControlLoopTest, AWayThatBeginsElsewhereIsReachedWithinTheLimits) {
-  Bench bench;
+  ClientBench bench;
   bench.Tick(kRequestEnable);
   ArmPath path;
   for (int i = 0; i < 30; ++i) {
@@ -831,7 +242,7 @@ TEST(ControlLoopTest, AWayThatBeginsElsewhereIsReachedWithinTheLimits) {
 
 TEST(ControlLoopTest, NonsenseFromThePolicyIsNotASilentServer) {
   for (const bool invalid : {false, true}) {
-    Bench bench;
+    ClientBench bench;
     bench.Start();
     bench.Ticks(15);
     if (invalid) {
@@ -848,7 +259,7 @@ TEST(ControlLoopTest, NonsenseFromThePolicyIsNotASilentServer) {
 }
 
 TEST(ControlLoopTest, TheObserverCorrectsButThePolicysTargetStaysOnRecord) {
-  Bench bench({.observer = true});
+  ClientBench bench({.observer = true});
   bench.policy_speed = 0;
   bench.policy_offset = 0.02;  // the arm is always asked a little further: an error that stays
   bench.Start();
@@ -866,7 +277,7 @@ TEST(ControlLoopTest, TheObserverCorrectsButThePolicysTargetStaysOnRecord) {
 }
 
 TEST(ControlLoopTest, AReaderThatIsTooSlowIsToldSo) {
-  Bench bench;
+  ClientBench bench;
   SpscRing<TickRecord> small(2);
   bench.loop->AddReader(&small);
   bench.Ticks(5);
@@ -895,7 +306,7 @@ struct LiveFake : LiveTarget {
 };
 
 TEST(ControlLoopTest, FollowsALiveTargetUnderItsLimitsUntilAPersonHolds) {
-  Bench bench;
+  ClientBench bench;
   LiveFake live;
   int heard = 0;
   bench.loop->OnTick([&](const TickRecord&) { ++heard; });
@@ -918,7 +329,7 @@ TEST(ControlLoopTest, FollowsALiveTargetUnderItsLimitsUntilAPersonHolds) {
 }
 
 TEST(ControlLoopTest, ASilentSourceHoldsTheArmAndDoesNotBegin) {
-  Bench bench;
+  ClientBench bench;
   LiveFake live;
   live.silent = true;
   bench.Tick(kRequestEnable);
@@ -941,7 +352,7 @@ TEST(ControlLoopTest, ASilentSourceHoldsTheArmAndDoesNotBegin) {
 }
 
 TEST(ControlLoopTest, AllocatesNothingOnceItRuns) {
-  Bench bench({.observer = true});
+  ClientBench bench({.observer = true});
   bench.latency_ticks = 2;
   bench.Start();
   ArmChunk chunk;
