@@ -1,18 +1,30 @@
 #!/usr/bin/env bash
-# The sweeps of docs/results/libero-tables.md: nano-libero on LIBERO's four suites, Clean and the seven scenarios at L5,
-# stored states FIRST to FIRST + EPISODES - 1 in a row. METHOD: a preset, or `paper`, the paper's form in its best reading.
-# What is done is not repeated. The outcome of every episode: OUT/METHOD-FIRST.jsonl.
-#   eval/conditions/libero_tables.sh METHOD FIRST EPISODES OUT [OPTIONS OF SWEEP...]
+# The sweeps of docs/results/libero-tables.md: nano-libero on LIBERO's four suites, stored states FIRST to FIRST + EPISODES
+# - 1 in a row. METHOD: a preset, or `paper`, the paper's form in its best reading. PART: seven (Clean and the seven
+# scenarios at L5), noise (each error alone) or levels (the seven at L1 to L4). What is done is not repeated. The outcome of
+# every episode: OUT/METHOD/PART-FIRST.jsonl, which eval/docs/libero_tables.py reads.
+#   eval/conditions/libero_tables.sh METHOD PART FIRST EPISODES OUT [OPTIONS OF SWEEP...]
 set -euo pipefail
-if (($# < 4)); then
-  sed -n '2,5s/^# \{0,1\}//p' "$0"
+if (($# < 5)); then
+  sed -n '2,7s/^# \{0,1\}//p' "$0"
   exit 2
 fi
-method=$1 first=$2 episodes=$3 out=$4
-shift 4
+method=$1 part=$2 first=$3 episodes=$4 out=$5
+shift 5
 preset=("$method")
 [[ $method != paper ]] || preset=(ours --set method.residual_scale=command method.learning_rate=1e-5)
-robostress sweep --no-report --quiet --suites libero_spatial,libero_object,libero_goal,libero_10 --tasks all --severities 5 \
-  --first-initial-state "$first" --episodes "$episodes" --out "$out/$method-$first" --set sim.pictures=plain \
-  "$@" --methods "${preset[@]}"
-robostress store outcomes "$out/$method-$first" --out "$out/$method-$first.jsonl"
+seven=heavy_payload,thermal_drift_stribeck,thermal_drift_backlash,aged_transmission
+seven+=,aged_joint_uniform,aged_joint_shoulder,aged_joint_elbow
+case $part in
+  seven) conditions=(--scenarios "clean,$seven" --severities 5) ;;
+  noise) conditions=(--scenarios "isolated_stribeck,isolated_gravity,isolated_backlash,isolated_compliance" --severities 5) ;;
+  levels) conditions=(--scenarios "$seven" --severities "1,2,3,4") ;;
+  *)
+    echo "libero_tables.sh: PART is '$part', must be seven, noise or levels" >&2
+    exit 2
+    ;;
+esac
+run=$out/$method/$part-$first
+robostress sweep --no-report --quiet --suites libero_spatial,libero_object,libero_goal,libero_10 --tasks all "${conditions[@]}" \
+  --first-initial-state "$first" --episodes "$episodes" --out "$run" --set sim.pictures=plain "$@" --methods "${preset[@]}"
+robostress store outcomes "$run" --out "$run.jsonl"

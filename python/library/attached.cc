@@ -171,6 +171,10 @@ robostress_code robostress_errors_attach(robostress_errors* errors, const robost
   });
 }
 
+size_t robostress_errors_recorded(const robostress_errors* errors) {
+  return errors == nullptr ? 0 : errors->attached.row;
+}
+
 robostress_code robostress_errors_reset_attached(robostress_errors* errors, char* error,
                                                  size_t error_size) {
   return AtBoundary(error, error_size, [&] { return robostress::ResetAttached(errors); });

@@ -35,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 5
+#define ROBOSTRESS_INTERFACE 6
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
@@ -187,6 +187,8 @@ robostress_code robostress_errors_attach(robostress_errors* errors, const robost
                                          const robostress_arrays* arrays, const double* asked,
                                          double* record, size_t rows, char* error,
                                          size_t error_size);
+/* How many sub-steps since begin_control_step are in `record`. */
+size_t robostress_errors_recorded(const robostress_errors* errors);
 /* reset() where the attached arrays are, at rest, the motors holding the arm against gravity. */
 robostress_code robostress_errors_reset_attached(robostress_errors* errors, char* error,
                                                  size_t error_size);

@@ -9,7 +9,7 @@ from typing import Any, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-INTERFACE = 5
+INTERFACE = 6
 ERROR_SIZE = 1024
 
 
@@ -110,6 +110,7 @@ FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "errors_attach": (INT, [POINTER, POINTER, POINTER, POINTER, POINTER, SIZE, *ERROR]),
     "errors_reset_attached": (INT, [POINTER, *ERROR]),
     "errors_act_attached": (INT, [POINTER, *ERROR]),
+    "errors_recorded": (SIZE, [POINTER]),
     "errors_begin_control_step": (None, [POINTER, INT, INT]),
     "errors_torque": (INT, [POINTER, POINTER, POINTER, POINTER, *ERROR]),
     "errors_offset_change": (INT, [POINTER, POINTER, POINTER, *ERROR]),
@@ -217,8 +218,10 @@ def integer(name: str, value: Any, least: int = -2**31, most: int = 2**31 - 1) -
 def array(name: str, values: Any, dtype: Any, *shape: int) -> np.ndarray:
     """`values` as the library reads them; -1: any length."""
     try:
+        if np.iscomplexobj(values):  # NumPy takes the real parts
+            raise TypeError("complex numbers have no place here")
         result = np.ascontiguousarray(values, dtype=dtype)
-    except (TypeError, ValueError) as fault:
+    except (TypeError, ValueError, OverflowError) as fault:
         raise InvalidArgument(f"{name}: {fault}; must be numbers of shape {list(shape)}") from fault
     if result.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, result.shape)):
         wanted = ["any" if n == -1 else n for n in shape]
@@ -226,11 +229,25 @@ def array(name: str, values: Any, dtype: Any, *shape: int) -> np.ndarray:
     return result
 
 
-def text(name: str, value: str) -> bytes:
+def number(name: str, value: Any) -> float:
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InvalidArgument(f"{name} is {value!r}, must be a number")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InvalidArgument(f"{name} is {value}, larger than any double") from None
+
+
+def text(name: str, value: Any) -> bytes:
     """As the library reads it, which ends at a NUL."""
+    if not isinstance(value, str):
+        raise InvalidArgument(f"{name} is {value!r}, must be text")
     if "\0" in value:
         raise InvalidArgument(f"{name} is {value!r}: there is a NUL in it")
-    return value.encode()
+    try:
+        return value.encode()
+    except UnicodeEncodeError as fault:
+        raise InvalidArgument(f"{name} is {value!r}: {fault.reason}") from fault
 
 
 class Scenario(NamedTuple):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import inspect
+import threading
 from typing import Any, Dict, Mapping, Optional
 
 import numpy as np
@@ -37,7 +38,7 @@ def _unpacked(value: Dict[Any, Any]) -> Any:
 
 
 class PolicyClient:
-    """One robot at a server. metadata: what the server greets with.
+    """One robot at a server; threads wait for each other. metadata: what the server greets with.
 
         with PolicyClient("ws://127.0.0.1:8000", method="ours") as client:
             reply = client.infer({"observation/image": ..., "observation/state": ..., "prompt": ...}, reset=True)
@@ -58,6 +59,7 @@ class PolicyClient:
         except ImportError as fault:
             raise NotFound(f"{fault.name} is not installed: pip install 'robostress[client]'") from fault
         self._msgpack, self._timeout, self._over = msgpack, timeout, ConnectionClosed
+        self._lock = threading.Lock()
         self._session = dict(session or {})
         if method is not None:
             self._session.update(method=method, method_options=list(method_options))
@@ -69,6 +71,8 @@ class PolicyClient:
         try:
             self._socket = connect(uri, compression=None, max_size=None, additional_headers=headers,
                                    open_timeout=open_timeout, close_timeout=1, **more)
+        except OSError as fault:
+            raise ServerError(f"no policy server answers at {uri} ({fault}): start it, or give its address") from fault
         except WebSocketException as fault:
             raise ServerError(f"{uri}: {fault}; give ws://HOST:PORT of a policy server, and its token if it asks for one"
                               ) from fault
@@ -79,14 +83,15 @@ class PolicyClient:
         """The server's reply to an observation with its prompt. reset: a new episode. executed: q, p_base_tool, q_base_tool,
         gripper of [n + 1] states, prediction_id, first_step, sequence (docs/results/server-wires.md)."""
         message = dict(observation)
-        if self._session:
-            message["session"] = self._session
         if reset:
             message["reset"] = True
         if executed is not None:
             message["executed"] = dict(executed)
-        reply = self._exchange(self._msgpack.packb(message, default=_packed))
-        self._session = {}
+        with self._lock:
+            if self._session:
+                message["session"] = self._session
+            reply = self._exchange(self._msgpack.packb(message, default=_packed))
+            self._session = {}
         return reply
 
     def report(self, executed: Mapping[str, Any]) -> Dict[str, Any]:

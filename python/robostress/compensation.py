@@ -7,7 +7,7 @@ from typing import Any, Dict, List, Optional
 
 import numpy as np
 
-from robostress._library import LIBRARY, Control, Copied, Executed, Failures, InvalidArgument, array, integer, text
+from robostress._library import LIBRARY, Control, Copied, Executed, Failures, InvalidArgument, array, integer, number, text
 
 
 MOST_ROWS = 1024  # that executed() takes at once
@@ -41,14 +41,15 @@ class Compensator(Copied):
                  action_low: Optional[Any] = None, action_high: Optional[Any] = None, rows: Optional[int] = None,
                  **options: Any) -> None:
         action_dim = integer("action_dim", action_dim)
-        control = Control(ctypes.sizeof(Control), space.encode(), action_dim, control_period, translation_scale,
-                          rotation_scale, goal_reference.encode(), None, None)
+        control = Control(ctypes.sizeof(Control), text("space", space), action_dim, *(number(name, value) for name, value in (
+            ("control_period", control_period), ("translation_scale", translation_scale), ("rotation_scale", rotation_scale))),
+                          text("goal_reference", goal_reference), None, None)
         bounds = []
         for name, values in (("action_low", action_low), ("action_high", action_high)):
             if values is not None:
                 bounds.append(array(name, values, np.float32, action_dim))
                 setattr(control, name, bounds[-1].ctypes.data)
-        overrides = [f"{key}={_text(value)}".encode() for key, value in options.items()]
+        overrides = [text(key, f"{key}={_text(value)}") for key, value in options.items()]
         texts = (ctypes.c_char_p * len(overrides))(*overrides)
         self.method, self.action_dim, self.space = method, action_dim, space
         self._failures, handle = Failures(), ctypes.c_void_p()

@@ -11,7 +11,8 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from robostress._library import LIBRARY, Failures, Frames, InvalidArgument, Schema, Unshared, WrongOrder, array, text
+from robostress._library import (
+    LIBRARY, Failures, Frames, InvalidArgument, Schema, Unshared, WrongOrder, array, integer, number, text)
 from robostress.compensation import Compensator
 
 ACTION = ("x", "y", "z", "rx", "ry", "rz", "gripper")
@@ -24,10 +25,20 @@ def measured(before: Tuple[Any, Any], after: Tuple[Any, Any], sent: Any, *, tran
     position [m] and unit quaternion w x y z of the end effector. Zeros where no arm moves so far in a step: over 1 m, over
     2.5 rad."""
     compensator = Compensator("base", translation_scale=translation_scale, rotation_scale=rotation_scale)
-    none = np.zeros((1, 7), np.float32)
-    values = compensator.residual(*zip(before, after), policy=none, sent=none)[0]
-    values[6] = np.asarray(sent, float)[6]
+    none, command = np.zeros((1, 7), np.float32), array("sent", sent, float, 7)
+    if not np.isfinite(command).all():
+        raise InvalidArgument(f"sent is {command.tolist()}, must be finite numbers")
+    values = compensator.residual(*zip(_pose("before", before), _pose("after", after)), policy=none, sent=none)[0]
+    values[6] = command[6]
     return values
+
+
+def _pose(name: str, given: Any) -> Tuple[np.ndarray, np.ndarray]:
+    try:
+        position, orientation = given
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} is {given!r}, must be a position and a quaternion: ([3], [4])") from None
+    return array(f"{name}'s position", position, float, 3), array(f"{name}'s quaternion", orientation, float, 4)
 
 
 def _png(picture: np.ndarray) -> bytes:
@@ -79,8 +90,10 @@ class EpisodeDataset(Unshared):
         rows = [_texts(axes) for axes in self._axes.values()]
         keep = (_texts(list(self._axes)), (ctypes.c_size_t * len(rows))(*(len(row) for row in rows)),
                 (ctypes.c_void_p * len(rows))(*(ctypes.addressof(row) for row in rows)), _texts(self.cameras))
-        schema = Schema(ctypes.sizeof(Schema), text("robot", robot), fps, len(rows), *map(ctypes.addressof, keep[:3]),
+        schema = Schema(ctypes.sizeof(Schema), text("robot", robot), number("fps", fps), len(rows), *map(ctypes.addressof, keep[:3]),
                         len(self.cameras), ctypes.addressof(keep[3]))
+        if b"\0" in os.fsencode(folder):
+            raise InvalidArgument(f"folder is {folder!r}: there is a NUL in it")
         self._failures.check(LIBRARY.robostress_dataset_open(
             os.fsencode(folder), ctypes.addressof(schema), ctypes.addressof(handle), *self._failures.arguments))
         self._handle = handle.value
@@ -104,15 +117,11 @@ class EpisodeDataset(Unshared):
         row = {name: array(name, given[name], np.float32, len(axes)) for name, axes in self._axes.items()}
         for name, values in row.items():
             if not np.isfinite(values).all():
-                raise InvalidArgument(f"{name} of step {self._steps} is {values.tolist()}, must be finite numbers")
+                raise InvalidArgument(f"{name} of step {len(self._taken)} is {values.tolist()}, must be finite numbers")
         if set(images) != set(self.cameras):
             raise InvalidArgument(f"pictures of {sorted(images)} are given, the set has cameras {sorted(self.cameras)}")
         pictures = {camera: self._picture(camera, images[camera]) for camera in self.cameras}
-        for name, values in row.items():
-            self._rows[name].append(values.copy())
-        for camera, picture in pictures.items():
-            self._pictures[camera].append(picture)
-        self._steps += 1
+        self._taken.append(({name: values.copy() for name, values in row.items()}, pictures))
 
     def end(self, instruction: str, success: bool) -> int:
         """Writes the episode; returns its index."""
@@ -121,31 +130,33 @@ class EpisodeDataset(Unshared):
 
     def _end(self, instruction: str, success: bool) -> int:
         self._check_open()
-        if self._steps == 0:
+        if not self._taken:
             raise WrongOrder("the episode has no steps: add() some first")
-        rows = [np.concatenate(self._rows[name]) for name in self._axes]
-        pixels = [np.stack(self._pictures[camera]) for camera in self.cameras]
-        files = [[_png(picture) for picture in self._pictures[camera]] for camera in self.cameras]
+        rows = [np.concatenate([row[name] for row, _ in self._taken]) for name in self._axes]
+        pixels = [np.stack([pictures[camera] for _, pictures in self._taken]) for camera in self.cameras]
+        files = [[_png(picture) for picture in of_camera] for of_camera in pixels]
         bytes_, ends = [b"".join(f) for f in files], [np.cumsum([len(p) for p in f], dtype=np.uintp) for f in files]
         sides = [(ctypes.c_int * len(pixels))(*(p.shape[i] for p in pixels)) for i in (2, 1)]
         pointers = [(ctypes.c_void_p * len(group))(*group) for group in (
             [r.ctypes.data for r in rows], [p.ctypes.data for p in pixels],
             [ctypes.cast(ctypes.c_char_p(b), ctypes.c_void_p).value for b in bytes_], [e.ctypes.data for e in ends])]
         vectors, pixels_at, pictures, picture_ends = map(ctypes.addressof, pointers)
-        frames = Frames(ctypes.sizeof(Frames), text("instruction", instruction), bool(success), self._steps, vectors,
+        frames = Frames(ctypes.sizeof(Frames), text("instruction", instruction), bool(success), len(self._taken), vectors,
                         pixels_at, *map(ctypes.addressof, sides), pictures, picture_ends)
         index = self.episodes
-        self._failures.check(LIBRARY.robostress_dataset_append(self._handle, ctypes.addressof(frames),
-                                                               *self._failures.arguments))
-        self.discard()
+        try:
+            self._failures.check(LIBRARY.robostress_dataset_append(self._handle, ctypes.addressof(frames),
+                                                                   *self._failures.arguments))
+        finally:
+            if self.episodes > index:  # Ctrl-C may come when it was written
+                self.discard()
         return index
 
     def discard(self) -> None:
         """Forgets the episode under way."""
         with self._lock:
-            self._steps = 0
-            self._rows: Dict[str, List[np.ndarray]] = {name: [] for name in self._axes}
-            self._pictures: Dict[str, List[np.ndarray]] = {camera: [] for camera in self.cameras}
+            # Of each step: a row of every column, a picture of every camera.
+            self._taken: List[Tuple[Dict[str, np.ndarray], Dict[str, np.ndarray]]] = []
 
     @property
     def episodes(self) -> int:
@@ -182,15 +193,16 @@ class EpisodeDataset(Unshared):
                 0 < min(picture.shape[:2]) and max(picture.shape[:2]) <= MOST_SIDE):
             raise InvalidArgument(f"picture of '{camera}' is {picture.dtype} {list(picture.shape)}, must be uint8 [height, "
                                   f"width, 3], 1 to {MOST_SIDE} pixels a side")
-        before = self._pictures[camera]
-        if before and before[0].shape != picture.shape:
-            raise InvalidArgument(f"picture of '{camera}' is {list(picture.shape)}, the episode's first was "
-                                  f"{list(before[0].shape)}")
+        first = self._taken[0][1][camera].shape if self._taken else picture.shape
+        if first != picture.shape:
+            raise InvalidArgument(f"picture of '{camera}' is {list(picture.shape)}, the episode's first was {list(first)}")
         return np.array(picture, order="C")  # a transposed one keeps its strides otherwise
 
 
 def _names(column: str, axes: Union[int, Sequence[str]]) -> List[str]:
-    names = [f"{i}" for i in range(axes)] if isinstance(axes, (int, np.integer)) else [str(name) for name in axes]
+    if isinstance(axes, str) or not hasattr(axes, "__iter__"):
+        axes = integer(f"column {column}", axes, 1)
+    names = [f"{i}" for i in range(axes)] if isinstance(axes, int) else [str(name) for name in axes]
     if not names:
         raise InvalidArgument(f"column {column} has no entries")
     return names

@@ -7,7 +7,7 @@ from typing import Any, Optional, Sequence
 from robostress._library import InvalidArgument
 from robostress.gymnasium_arms import named_arm
 from robostress.joint_errors import JointErrors
-from robostress.mujoco_arm import ArmEpisode, MujocoArm, put_back
+from robostress.mujoco_arm import ArmEpisode, Hooked, MujocoArm, put_back
 
 
 def base_of(env: Any) -> Optional[Any]:
@@ -20,7 +20,7 @@ def base_of(env: Any) -> Optional[Any]:
     return None
 
 
-class DmControlArm:
+class DmControlArm(Hooked):
     """The wrapped arm of one environment, in its own methods' places."""
 
     def __init__(self, base: Any, errors: JointErrors, settle_steps: int, actuators: Sequence[str], tool: Optional[str],

@@ -6,7 +6,7 @@ from typing import Any, List, Optional, Sequence
 
 from robostress._library import InvalidArgument, NotFound
 from robostress.joint_errors import JointErrors
-from robostress.mujoco_arm import ArmEpisode, MujocoArm, put_back
+from robostress.mujoco_arm import ArmEpisode, Hooked, MujocoArm, put_back
 
 HOOKED = ("step", "reset", "set_state", "_step_mujoco_simulation")
 
@@ -35,6 +35,9 @@ def named_arm(model: Any, data: Any, errors: JointErrors, actuators: Sequence[st
               pads: Sequence[Sequence[str]], rows: int) -> MujocoArm:
     """actuators: their names, or those of their joints where they have none."""
     import mujoco  # type: ignore[import-not-found]
+    twice = [name for i, name in enumerate(actuators) if name in actuators[:i]]
+    if twice:
+        raise InvalidArgument(f"actuators names '{twice[0]}' twice; remove one")
     joints = _known(mujoco, model, "JOINT", model.njnt)
     driven = [joints[joint] if kind == 0 else "" for kind, (joint, _) in zip(model.actuator_trntype, model.actuator_trnid)]
     motors = _ids("actuator", [name or joint for name, joint in
@@ -45,7 +48,7 @@ def named_arm(model: Any, data: Any, errors: JointErrors, actuators: Sequence[st
                      pads=[_ids("geom", geoms, side) for side in pads])
 
 
-class GymnasiumArm:
+class GymnasiumArm(Hooked):
     """The wrapped arm of one environment, in its own methods' places."""
 
     def __init__(self, base: Any, errors: JointErrors, settle_steps: int, actuators: Sequence[str], tool: Optional[str],

@@ -17,7 +17,7 @@ import tempfile
 import gymnasium
 import numpy
 
-from robostress._library import InvalidArgument, NotFound, RobostressError
+from robostress._library import InvalidArgument, NotFound, RobostressError, Unshared, WrongOrder, array, integer
 
 SUITES = {"TabletopGoal": "tabletop_goal", "TabletopLong": "tabletop_long", "TabletopObject": "tabletop_object",
           "TabletopSpatial": "tabletop_spatial"}
@@ -35,7 +35,7 @@ def _program():
     return found
 
 
-class SuiteEnv(gymnasium.Env):
+class SuiteEnv(Unshared, gymnasium.Env):
     """One task of an embedded suite.
 
     Action [7]: displacement and turn in units of 0.05 m and 0.5 rad, gripper (-1 open, 1 closed); what is outside [-1, 1] is
@@ -60,8 +60,10 @@ class SuiteEnv(gymnasium.Env):
         for setting in (f"suite={suite}", f"scenario={scenario}", f"severity={severity}", *settings):
             command += ["--set", setting]
         self._said = tempfile.TemporaryFile()  # a pipe that nobody reads would stop the program once it is full
+        self._owner = os.getpid()
+        # A terminal's Ctrl-C is for Python; the program ends when its stdin does.
         self._process = subprocess.Popen(command + ([] if views else ["--no-views"]), stdin=subprocess.PIPE,
-                                         stdout=subprocess.PIPE, stderr=self._said)
+                                         stdout=subprocess.PIPE, stderr=self._said, start_new_session=True)
         said = self._line()
         self.task, self.task_description, self._max_episode_steps = said["name"], said["instruction"], said["horizon"]
         self.scenario, self.severity, self.render_mode = said["scenario"], said["severity"], render_mode
@@ -80,7 +82,7 @@ class SuiteEnv(gymnasium.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         state = (options or {}).get("initial_state")
-        state = int(self.np_random.integers(INITIAL_STATES)) if state is None else int(state)
+        state = int(self.np_random.integers(INITIAL_STATES)) if state is None else integer("initial_state", state)
         observation, answer = self._ask({"reset": state})
         self._done = False
         return observation, {**self._info(answer), "initial_state": state}
@@ -88,8 +90,8 @@ class SuiteEnv(gymnasium.Env):
     def step(self, action):
         if self._done:
             raise RobostressError("step comes after the episode's end or before its beginning; call reset")
-        action = numpy.asarray(action, dtype=numpy.float32)
-        if action.shape != self.action_space.shape or not numpy.isfinite(action).all():
+        action = array("action", action, numpy.float32, *self.action_space.shape)
+        if not numpy.isfinite(action).all():
             raise InvalidArgument(f"action is {action!r}, must be {self.action_space.shape[0]} finite numbers")
         command = numpy.clip(action, -1, 1)
         observation, answer = self._ask({"step": command.tolist()})
@@ -110,7 +112,7 @@ class SuiteEnv(gymnasium.Env):
 
     def close(self):
         process, self._process = self._process, None
-        if process is None:
+        if process is None or self._owner != os.getpid():
             return
         for pipe in (process.stdin, process.stdout):
             try:
@@ -130,6 +132,8 @@ class SuiteEnv(gymnasium.Env):
     def _ask(self, request):
         if self._process is None:
             raise RobostressError("the environment is closed: make another")
+        if self._owner != os.getpid():
+            raise WrongOrder(f"the environment is of process {self._owner}, this is {os.getpid()}: make another here")
         try:
             answer, data = self._exchange(request)
         except BaseException:  # also Ctrl-C: the answer would be taken for that to the next request

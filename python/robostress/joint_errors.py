@@ -9,7 +9,7 @@ import numpy as np
 
 from robostress._library import (
     ARM, ATTACHED, LIBRARY, Arrays, Copied, Failures, InvalidArgument, Moment, Options, WrongOrder, array, integer,
-    text)
+    number, text)
 from robostress.streams import Stream
 
 READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
@@ -69,8 +69,9 @@ class JointErrors(Copied):
         joints, severity, horizon = (integer(name, value) for name, value in (
             ("joints", joints), ("severity", severity), ("horizon", horizon)))
         seed = integer("seed", seed, -2**63, 2**63 - 1)
-        options = Options(ctypes.sizeof(Options), severity, horizon, friction_law.encode(), tanh_width,
-                          offset_start.encode(), gravity_sign.encode(), None)
+        options = Options(ctypes.sizeof(Options), severity, horizon, text("friction_law", friction_law),
+                          number("tanh_width", tanh_width), text("offset_start", offset_start),
+                          text("gravity_sign", gravity_sign), None)
         if nominal is not None:
             values = array("nominal", nominal, float, joints, 9)
             options.nominal = values.ctypes.data
@@ -145,8 +146,10 @@ class JointErrors(Copied):
             self._read_from(**{name: np.empty(self._shape(name))})
         kept = np.asarray(self._views[name])
         try:
+            if np.iscomplexobj(values):  # NumPy takes the real parts
+                raise TypeError("complex numbers have no place here")
             given = np.asarray(values, float)
-        except (TypeError, ValueError) as fault:
+        except (TypeError, ValueError, OverflowError) as fault:
             raise InvalidArgument(f"{name}: {fault}; must be numbers of shape {list(kept.shape)}") from fault
         if given.shape not in ((), kept.shape):  # a number alone is that of every joint
             raise InvalidArgument(f"{name} has shape {list(given.shape)}, must be of shape {list(kept.shape)}")
@@ -175,6 +178,7 @@ class JointErrors(Copied):
     def reset(self, q: Optional[Any] = None, *, step: float = 0.002, holding: Optional[Any] = None, **arm: Any) -> None:
         """An episode begins at rest at q, or where the bound arrays say. step: length of a sub-step [s]; holding: the motors'
         torques that hold the arm."""
+        step = number("step", step)
         self._moment.time, self._moment.step, self._step = 0, step, step
         self._fill(arm if q is None else {"q": q, "dq": 0, **arm})
         held = None if holding is None else array("holding", holding, float, self.joints)
@@ -248,11 +252,13 @@ class JointErrors(Copied):
         for index in wished:
             if not 0 <= index < rows[short]:
                 raise InvalidArgument(f"{name} has {index}, must be 0 to {rows[short] - 1}: {short} has {rows[short]} rows")
+        if name != "body_index" and len(set(wished.tolist())) < len(wished):  # a body may have several joints
+            raise InvalidArgument(f"{name} is {wished.tolist()}: an arm has each of its joints once")
         return wished.astype(np.intc)
 
     def reset_attached(self, step: float = 0.002) -> None:
         """reset() where the attached arrays are, the motors holding the arm against gravity."""
-        self._moment.step = self._step = step
+        self._moment.step = self._step = number("step", step)
         self._failures.check(_reset_attached(self._handle, *self._failures.arguments))
 
     def actor(self, controller: Any) -> Callable[[], None]:
@@ -277,6 +283,11 @@ class JointErrors(Copied):
         except (TypeError, ValueError):
             self._convert("asked", asked)
         self._failures.check(_act_attached(self._handle, *self._failures.arguments))
+
+    @property
+    def recorded(self) -> np.ndarray:
+        """Of `record` the sub-steps since begin_control_step() [played, 2, joints], the first `rows` of them."""
+        return self.record[:LIBRARY.robostress_errors_recorded(self._handle)]
 
     def offset(self) -> np.ndarray:
         """Link angle minus motor angle now [joints]."""

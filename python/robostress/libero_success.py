@@ -173,11 +173,7 @@ def _outcomes(options: argparse.Namespace, done: Dict[Tuple, Dict[str, Any]]) ->
             raise InvalidArgument(f"--episodes {options.episodes} from --first-state {options.first_state}: task {task} of "
                                   f"{options.suite} has states 0 to {len(states[task]) - 1}")
     token = options.token_file.read_text().strip() if options.token_file else None
-    try:
-        client = PolicyClient(options.server, method="base", session={"resize": True}, token=token, timeout=options.timeout)
-    except OSError as fault:
-        raise NotFound(f"no policy server answers at {options.server} ({fault}): start it, or give its address") from fault
-    with client:
+    with PolicyClient(options.server, method="base", session={"resize": True}, token=token, timeout=options.timeout) as client:
         own = (client.metadata.get("policies") or [{}])[0] if client.metadata.get("server") == "robostress" else {}
         policy = options.policy_name or own.get("model_hash")
         if not policy and options.out:

@@ -19,6 +19,14 @@ def put_back(owner: Any, name: str, replaced: Any) -> None:
         setattr(owner, name, replaced)
 
 
+class Hooked:
+    """Stands in the methods of the environment that it wraps; a copy's would still act on that one."""
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TypeError("an environment with joint errors cannot be copied or pickled: they live in the methods of the one that is "
+                        "wrapped; unwrap() it before, or make another environment and wrap that")
+
+
 class MujocoArm:
     """joints, motors: ids in the model, from the base on. tool: the site where a payload sits. pads: geoms of both sides of
     the gripper. rows: sub-steps of a control step. The model and its data stay as long as this does.
@@ -231,7 +239,7 @@ class ArmEpisode:
         """What became of a command."""
         assert self.arm is not None  # begin_control_step() was called
         self.arm.end_control_step()
-        record = self.errors.record.copy()
+        record = self.errors.recorded.copy()
         self.last = {"commanded": np.array(action), "asked": record[:, 0], "applied": record[:, 1], "q": self.arm.q(),
                      "dq": self.arm.dq(), "held": self.held}
         return self.last

@@ -5,9 +5,9 @@ import functools
 import sys
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
-from robostress._library import InvalidArgument
+from robostress._library import InvalidArgument, integer
 from robostress.joint_errors import JointErrors
-from robostress.mujoco_arm import ArmEpisode, MujocoArm, put_back
+from robostress.mujoco_arm import ArmEpisode, Hooked, MujocoArm, put_back
 
 Key = Tuple[int, str]
 
@@ -72,7 +72,7 @@ def _before(physics: Callable[[], Any], acts: List[Callable[[], Any]]) -> Callab
     return sub_step if len(acts) > 1 else sub_step_of_one
 
 
-class RobosuiteArms:
+class RobosuiteArms(Hooked):
     """All wrapped arms of one environment: its step() puts them between its controllers and the physics."""
 
     def __init__(self, base: Any) -> None:
@@ -85,9 +85,7 @@ class RobosuiteArms:
     @staticmethod
     def joints(base: Any, robot: int, arm: str) -> Tuple[int, bool]:
         """How many the arm has, and whether it is a Panda's."""
-        if not 0 <= robot < len(base.robots):
-            raise InvalidArgument(f"robot is {robot}, must be 0 to {len(base.robots) - 1}")
-        found = base.robots[robot]
+        found = base.robots[integer("robot", robot, 0, len(base.robots) - 1)]
         return _Robot(found, arm).count, "Panda" in type(found.robot_model).__name__
 
     def add(self, key: Key, errors: JointErrors, settle_steps: int) -> ArmEpisode:

@@ -12,13 +12,14 @@ from robostress.mujoco_arm import ArmEpisode
 
 class WrappedEnvironment:
     """The environment with joint errors: everything is its own but step(), which adds to `info` under "robostress"
-    `commanded`, the action; `asked` and `applied` [sub-steps, joints], torques of the controller and at the joints; `q`, `dq`,
+    `commanded`, the action; `asked` and `applied` [sub-steps, joints], torques of the controller and at the joints, of no more
+    sub-steps than a control step had when the episode began; `q`, `dq`,
     measured after the step; `held`. A second arm's are under "robostress_ROBOT_ARM". `executed` is the same, where a step has no
     `info`. Arguments: as of wrap().
     """
 
     def __init__(self, env: Any, scenario: str, **options: Any) -> None:
-        self._wrapped, self._closed = env, False
+        self._wrapped, self._closed, self._over = env, False, ""
         self._episode, self._remove = _hook(env, scenario, **options)
         self.errors = self._episode.errors
 
@@ -28,8 +29,8 @@ class WrappedEnvironment:
         return getattr(self._wrapped, name)
 
     def step(self, action: Any) -> Tuple:
-        if self._closed:
-            raise WrongOrder("the environment is closed: make another")
+        if self._over:
+            raise WrongOrder(self._over)
         return self._wrapped.step(action)
 
     @property
@@ -44,13 +45,14 @@ class WrappedEnvironment:
 
     def unwrap(self) -> Any:
         """The environment as it was."""
+        self._over = self._over or "the environment is unwrapped: step what unwrap() returned, or wrap() it again"
         self._remove()
         return self._wrapped
 
     def close(self) -> None:
         """Once more does nothing."""
         if not self._closed:
-            self._closed = True
+            self._closed, self._over = True, "the environment is closed: make another"
             self.unwrap().close()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -107,6 +109,7 @@ def _hook_robosuite(base: Any, scenario: str, draws: Tuple[int, int], horizon: i
 def _hook_named(kind: Callable[..., Any], base: Any, scenario: str, draws: Tuple[int, int], horizon: int, settle_steps: int, *,
                     actuators: Sequence[str] = (), tool: Optional[str] = None, pads: Sequence[Sequence[str]] = (),
                     **options: Any) -> Tuple[ArmEpisode, Callable[[], None]]:
+    actuators = [actuators] if isinstance(actuators, str) else list(actuators)
     if not actuators:
         raise InvalidArgument("actuators is empty: name the motors of the arm, from the base on")
     errors = _errors(scenario, len(actuators), False, draws, horizon, options)

@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
@@ -147,6 +148,7 @@ class LibraryAttached : public ::testing::Test {
                 ROBOSTRESS_OK)
           << error_;
       ASSERT_EQ(Act(errors), ROBOSTRESS_OK) << error_;
+      EXPECT_EQ(robostress_errors_recorded(errors.get()), std::min<size_t>(step % 5 + 1, kRows));
       for (size_t i = 0; i < kPandaJoints; ++i) {
         const auto k = static_cast<size_t>(simulator_.at[i]);
         EXPECT_NEAR(simulator_.ctrl[k], applied[i], 1e-10);

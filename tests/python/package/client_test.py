@@ -86,6 +86,19 @@ class Clients(unittest.TestCase):
         with self.assertRaisesRegex(rs.RobostressError, "the connection is over"):
             self.client().infer({"n": 0, "leave": True})
 
+    def test_a_server_that_is_not_there_is_said(self):
+        with self.assertRaisesRegex(rs.RobostressError, "no policy server answers at ws://127.0.0.1:1 .*start it, or give its"):
+            rs.PolicyClient("ws://127.0.0.1:1")
+
+    def test_threads_wait_for_each_other(self):
+        client, answers = self.client(), []
+        threads = [threading.Thread(target=lambda n=n: answers.append((n, client.infer({"n": n})))) for n in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        self.assertEqual(sorted(answers), [(n, {"answer_to": n}) for n in range(8)])
+
     def test_arrays_keep_their_shape_on_the_wire(self):
         grid = np.arange(6.0).reshape(2, 3)
         self.client().infer({"n": 0, "point": np.array(3.0), "number": np.float32(3), "turned": grid.T})

@@ -121,6 +121,8 @@ class Datasets(unittest.TestCase):
         data.add(**{**good, "images": {"image": picture(0, 8, 8), "image2": picture(0)}})
         with self.assertRaisesRegex(rs.InvalidArgument, r"observation.images.image is \[24,32,3\]"):
             data.end("x", True)
+        with self.assertRaisesRegex(rs.InvalidArgument, "instruction is None, must be text"):
+            data.end(None, True)
         self.assertEqual((data.episodes, data.steps), (1, 1))
         data.close()
         data.close()
@@ -132,7 +134,8 @@ class Datasets(unittest.TestCase):
                                  ({"robot": "ur5e"}, "robot_type"), ({"cameras": ["a/b"]}, "camera 'a/b'"),
                                  ({"more": {"next.done": 1}}, "feature next.done already"),
                                  ({"more": {"action": 1}}, "which is a column already"),
-                                 ({"more": {"torque": 0}}, "has no entries")):
+                                 ({"more": {"torque": 0}}, "column torque is 0, must be 1 to"),
+                                 ({"fps": "20"}, "fps is '20', must be a number")):
             with self.assertRaisesRegex(rs.InvalidArgument, message):
                 rs.EpisodeDataset(self.folder, **options)
         self.assertEqual(json.loads((self.folder / "meta/info.json").read_text())["total_episodes"], 1)
@@ -159,6 +162,23 @@ class Datasets(unittest.TestCase):
                          [".lock", "episodes", "info.json", "stats.json", "tasks.parquet"])
         self.read_back()
         rs.EpisodeDataset(self.folder).close()
+
+    def test_what_was_written_when_ctrl_c_came_is_not_written_again(self):
+        append = LIBRARY.robostress_dataset_append
+
+        def interrupted(*given):
+            append(*given)
+            raise KeyboardInterrupt
+
+        with rs.EpisodeDataset(self.folder) as data:
+            fill(data, 3)
+            with unittest.mock.patch.object(LIBRARY, "robostress_dataset_append", interrupted):
+                with self.assertRaises(KeyboardInterrupt):
+                    data.end("x", True)
+            with self.assertRaisesRegex(rs.WrongOrder, "no steps"):
+                data.end("x", False)
+            self.assertEqual((data.episodes, data.steps), (1, 3))
+        self.read_back()
 
     def test_data_of_others_stays(self):
         theirs = self.folder / "data/chunk-000/file-000.parquet"

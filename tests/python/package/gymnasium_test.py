@@ -303,6 +303,29 @@ class Gymnasium(unittest.TestCase):
         with self.assertRaisesRegex(rs.WrongOrder, "closed"):
             env.step(np.zeros(7, np.float32))
 
+    def test_after_unwrapping_only_what_was_wrapped_steps(self):
+        env = pusher()
+        env.reset(seed=5)
+        inside = env.unwrap()
+        with self.assertRaisesRegex(rs.WrongOrder, "unwrapped: step what unwrap.. returned"):
+            env.step(np.zeros(7, np.float32))
+        inside.step(np.zeros(7, np.float32))
+
+    def test_tells_of_the_sub_steps_that_were_played_and_of_no_copy(self):
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "arm.xml")
+            file.write_text(xml_of('<motor name="m{i}" joint="j{i}" gear="{gear}"/>'))
+            env = ThreeJoints(str(file))
+            wrapped = rs.wrap(env, "nominal", actuators=["m0", "m1", "m2"], nominal=NOMINAL[:3])
+        wrapped.reset(seed=1)
+        with self.assertRaisesRegex(TypeError, "cannot be copied or pickled: .* unwrap.. it before"):
+            copy.deepcopy(env)  # its errors would be the original's
+        for frames, action, told in ((10, 2, 10), (5, 0, 5), (20, 1, 10)):
+            env.frame_skip = frames
+            info = wrapped.step(np.full(3, action, np.float32))[-1]["robostress"]
+            np.testing.assert_array_equal(info["asked"], np.full((told, 3), action))
+            self.assertEqual(info["applied"].shape, (told, 3))
+
     def test_says_what_cannot_be_wrapped(self):
         env = gymnasium.make("Pusher-v5")
         for scenario, more, words in (
@@ -310,6 +333,8 @@ class Gymnasium(unittest.TestCase):
                 ("clean", {"actuators": SHOULDER_TO_WRIST, "settle_steps": 10.0}, "settle_steps is 10.0, must be a whole"),
                 ("clean", {"actuators": SHOULDER_TO_WRIST, "settle_steps": -5}, "settle_steps is -5, must be 0 to"),
                 ("clean", {"actuators": ["elbow"]}, "'elbow' is not in .*r_elbow_flex"),
+                ("clean", {"actuators": "elbow"}, "'elbow' is not in .*r_elbow_flex"),
+                ("clean", {"actuators": np.array(SHOULDER_TO_WRIST[:1] * 2)}, "names 'r_shoulder_pan_joint' twice"),
                 ("nominal", {"actuators": SHOULDER_TO_WRIST}, "the arm is another: give its own, nominal="),
                 ("heavy_payload", {"actuators": SHOULDER_TO_WRIST, "nominal": NOMINAL}, "depends on a grasp|where it sits"),
                 ("clean", {"actuators": SHOULDER_TO_WRIST, "tool": "hand"}, "site 'hand' is not in")):

@@ -128,8 +128,28 @@ class Errors(unittest.TestCase):
             (rs.InvalidArgument, "give position", lambda: rs.ModelFollowing().executed()),
             (rs.InvalidArgument, "1 states are no motion", lambda: rs.ModelFollowing().executed(np.zeros((1, 3)))),
             (rs.WrongOrder, "all 0 rows of the chunk", lambda: rs.ModelFollowing().next()),
+            (rs.InvalidArgument, "friction_law is None, must be text", lambda: rs.JointErrors("clean", friction_law=None)),
+            (rs.InvalidArgument, "tanh_width is 'wide', must be a number", lambda: rs.JointErrors("clean", tanh_width="wide")),
+            (rs.InvalidArgument, "step is 'a', must be a number", lambda: rs.JointErrors("clean").reset(np.zeros(7), step="a")),
+            (rs.InvalidArgument, "q: complex numbers", lambda: rs.JointErrors("clean").reset(np.zeros(7) + 1j)),
+            (rs.InvalidArgument, "gravity: .*too large|gravity: .*int too",
+             lambda: rs.JointErrors("nominal").reset(np.zeros(7), gravity=[10**400] * 7)),
+            (rs.InvalidArgument, "nominal: complex numbers",
+             lambda: rs.JointErrors("nominal", joints=1, nominal=np.ones((1, 9)) * 1j)),
+            (rs.InvalidArgument, "space is None, must be text", lambda: rs.Compensator("base", space=None)),
+            (rs.InvalidArgument, "control_period is '1', must be a number", lambda: rs.Compensator("base", control_period="1")),
+            (rs.InvalidArgument, "sent has shape .6., must be .7.", lambda: rs.measured(POSE, POSE, np.zeros(6))),
+            (rs.InvalidArgument, "sent is .*nan.* must be finite", lambda: rs.measured(POSE, POSE, [0] * 6 + [np.nan])),
+            (rs.InvalidArgument, "before is .* must be a position and a quaternion",
+             lambda: rs.measured(np.zeros(7), POSE, np.zeros(7))),
+            (rs.InvalidArgument, "after's quaternion has shape .3., must be .4.",
+             lambda: rs.measured(POSE, (np.zeros(3), np.zeros(3)), np.zeros(7))),
             (rs.InvalidArgument, "n is 0, must be 1 to", lambda: rs.Stream("x").integers(0, 1)),
             (rs.InvalidArgument, "part 1.5 of the key", lambda: rs.Stream("x", 1.5)),
+            (rs.InvalidArgument, "rig is 'rig.yaml', must be a map", lambda: rs.calibrate("rig.yaml", [], program="true")),
+            (rs.InvalidArgument, r"logs.0. is ..t., .q_hinge.., must be a map with the arrays under 'columns'",
+             lambda: rs.calibrate({}, [{"t": [0], "q_hinge": [0]}], program="true")),
+            (rs.InvalidArgument, "rig or log has a complex", lambda: rs.calibrate({"rate_hz": 1j}, [], program="true")),
             (rs.NotFound, "install the package robostress-calibration",
              lambda: rs.calibrate({}, [], program="no-such-program")),
         ]
@@ -189,6 +209,8 @@ class Errors(unittest.TestCase):
 
     def test_a_text_with_a_nul_is_not_cut_there(self):
         for make in (lambda: rs.JointErrors("clean\0heavy_payload"), lambda: rs.Compensator("base\0"),
+                     lambda: rs.JointErrors("clean", friction_law="sgn\0stick"), lambda: rs.Compensator("gain", gain="1.5\0x"),
+                     lambda: rs.EpisodeDataset("set\0junk"),
                      lambda: rs.Stream("a\0b"), lambda: rs.Stream("a", "b\0c")):
             with self.assertRaisesRegex(rs.InvalidArgument, "there is a NUL in it"):
                 make()
@@ -396,6 +418,7 @@ class Copies(unittest.TestCase):
                     copied(given)
 
 
+POSE = ([0.4, 0, 0.2], [1, 0, 0, 0])
 PENDULUM = """<mujoco><option timestep="0.002" gravity="0 0 -9.81"/><worldbody><body><joint name="hinge" axis="0 1 0"
 damping="0.2"/><inertial pos="0 0 0" mass="1" diaginertia="0.05 0.05 0.05"/></body></worldbody></mujoco>"""
 
@@ -428,8 +451,23 @@ class Programs(unittest.TestCase):
         self.assertEqual(report["rig"], "pendulum")
         with self.assertRaisesRegex(rs.InvalidArgument, "(?s)ended with 1:.*has 2 rows, at least 50"):
             rs.calibrate(rig, [{"columns": {"t": [0, 0.005]}}], program=program("CALIBRATE"))
-        with self.assertRaisesRegex(rs.InvalidArgument, "log_0 has no column t"):
+        with self.assertRaisesRegex(rs.InvalidArgument, r"logs\[0\] has no column t"):
             rs.calibrate(rig, [{"columns": {}}], program=program("CALIBRATE"))
+
+    def test_nothing_of_somebody_elses_is_written_over(self):
+        with tempfile.TemporaryDirectory() as folder:
+            theirs = pathlib.Path(folder, "log_0.csv")
+            theirs.write_text("t,q_hinge,comment\n")
+            log = [{"columns": {"t": [0, 0.005]}}]
+            with self.assertRaisesRegex(rs.InvalidArgument, "log_0.csv is there already .*: give another folder as out"):
+                rs.calibrate({}, log, out=folder, program="true")
+            self.assertEqual((theirs.read_text(), sorted(os.listdir(folder))), ("t,q_hinge,comment\n", ["log_0.csv"]))
+            theirs.unlink()
+            for rows in (2, 3):  # its own are
+                with self.assertRaisesRegex(rs.InvalidArgument, "ended with 0"):
+                    rs.calibrate({"limits": np.array([0, 1])}, [{"columns": {"t": np.arange(rows)}}], out=folder, program="true")
+            self.assertEqual(len(theirs.read_text().split()), 4)
+            self.assertIn('"limits": [', pathlib.Path(folder, "rig.yaml").read_text())
 
     def test_the_guides_example_calibrates_files(self):
         example, = guide_blocks.examples("Calibrate my arm from arrays")

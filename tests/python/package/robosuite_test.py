@@ -178,6 +178,8 @@ class Wrapped(unittest.TestCase):
         for copied in (copy.copy, copy.deepcopy, pickle.dumps):
             with self.assertRaisesRegex(TypeError, "wrapped Lift cannot be copied or pickled: .* make another"):
                 copied(wrapped)
+        with self.assertRaisesRegex(TypeError, "cannot be copied or pickled: .* unwrap.. it before"):
+            copy.deepcopy(vars(wrapped._wrapped)["step"])
         wrapped.close()
         wrapped.close()
         with self.assertRaisesRegex(rs.WrongOrder, "closed"):
@@ -197,6 +199,7 @@ class Wrapped(unittest.TestCase):
         for refused, words in (
                 (dict(scenario="worn"), "known: clean"), (dict(scenario="nominal", severity=6), "severity level 6"),
                 (dict(scenario="nominal", robot=1), "robot is 1, must be 0 to 0"),
+                (dict(scenario="nominal", robot="0"), "robot is '0', must be a whole number"),
                 (dict(scenario="nominal", arm="left"), "arm is 'left'")):
             with self.assertRaisesRegex(rs.RobostressError, words):
                 rs.wrap(self.env, **refused)

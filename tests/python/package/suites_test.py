@@ -1,8 +1,10 @@
 """The embedded suites as Gymnasium environments, beside the worker of a sweep."""
-import json
+import copy
 import gc
+import json
 import os
 import pathlib
+import pickle
 import signal
 import subprocess
 import sys
@@ -114,9 +116,13 @@ class Suites(unittest.TestCase):
                 robostress.gymnasium_suites.SuiteEnv(**arguments)
         env = self.make(views=False)
         env.reset(seed=3)
-        for action in (numpy.zeros(6), numpy.full(7, numpy.nan), "up"):
-            with self.assertRaises((robostress.InvalidArgument, ValueError)):
+        for action, message in ((numpy.zeros(6), r"action has shape \[6\], must be \[7\]"), ("up", "action: .* must be numbers"),
+                                (numpy.full(7, numpy.nan), "must be 7 finite numbers"), ([[0], [0, 1]], "action: ")):
+            with self.assertRaisesRegex(robostress.InvalidArgument, message):
                 env.step(action)
+        for state in (3.7, "x", [1]):
+            with self.assertRaisesRegex(robostress.InvalidArgument, "initial_state is .*, must be a whole number"):
+                env.reset(options={"initial_state": state})
         with self.assertRaisesRegex(robostress.InvalidArgument, "initial state 50 does not exist"):
             env.reset(options={"initial_state": 50})
         env.step(numpy.zeros(7))
@@ -124,6 +130,25 @@ class Suites(unittest.TestCase):
         env.close()
         with self.assertRaisesRegex(robostress.RobostressError, "closed|call reset"):
             env.step(numpy.zeros(7))
+
+    def test_belongs_to_the_process_that_made_it(self):
+        env = self.make(views=False)
+        env.reset(options={"initial_state": 0})
+        for copied in (copy.copy, copy.deepcopy, pickle.dumps):
+            with self.assertRaisesRegex(TypeError, "SuiteEnv cannot be copied or pickled: make another"):
+                copied(env.unwrapped)
+        child = os.fork()
+        if child == 0:
+            try:
+                env.step(numpy.zeros(7))
+            except robostress.WrongOrder as fault:
+                env.unwrapped.close()
+                os._exit(0 if "make another here" in str(fault) else 1)
+            os._exit(2)
+        self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), 0)
+        env.step(numpy.zeros(7))
+        # A terminal's Ctrl-C goes to the group of the process that it runs.
+        self.assertNotEqual(os.getpgid(env.unwrapped._process.pid), os.getpgid(0))
 
     def test_a_program_that_dies_is_an_error(self):
         env = self.make(views=False)

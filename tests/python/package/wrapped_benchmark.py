@@ -1,10 +1,14 @@
 #!/usr/bin/env python3
 """What the wrapper adds to a control step: CPU time, one step of each pair wrapped, by lot. Run by run_installed.py.
 
-    wrapped_benchmark.py [TASK ...] [--steps N] [--repeats N]      of robosuite, or LIBERO's such as libero_object_00
+    wrapped_benchmark.py [TASK ...] [--steps N] [--repeats N] [--views]      of robosuite, or LIBERO's such as libero_object_00
 """
 import argparse
+import os
 import time
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa draws in the calling thread
 
 import numpy as np
 import robosuite
@@ -30,7 +34,7 @@ def slower(env, base, scenario, steps):
     return [1e3 * np.median(t[5:]) for t in times]
 
 
-def make(task):
+def make(task, views):
     if task.startswith("libero"):
         import libero_parts
         folder = libero_parts.prepare()
@@ -38,8 +42,9 @@ def make(task):
         return env, env.env, folder
     configs = {"controller_configs": robosuite.load_controller_config(default_controller="OSC_POSE")} if hasattr(
         robosuite, "load_controller_config") else {}
-    env = robosuite.make(task, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False,
-                         control_freq=20, horizon=100000, hard_reset=False, **configs)
+    drawn = {"camera_names": ["agentview", "robot0_eye_in_hand"], "camera_heights": 256, "camera_widths": 256} if views else {}
+    env = robosuite.make(task, robots="Panda", has_renderer=False, has_offscreen_renderer=views, use_camera_obs=views,
+                         control_freq=20, horizon=100000, hard_reset=False, **drawn, **configs)
     return env, env, None
 
 
@@ -48,11 +53,12 @@ def main():
     parser.add_argument("tasks", nargs="*", default=["Lift", "PickPlace", "NutAssembly"])
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--views", action="store_true", help="robosuite draws two views of 256 px after each step")
     line = parser.parse_args()
     print(f"robosuite {robosuite.__version__}; medians of {line.steps // 2} steps, {line.repeats} repeats")
     print("| task | scenario | robosuite [ms] | wrapped [ms] | slower | from | to |\n|---|---|---:|---:|---:|---:|---:|")
     for task in line.tasks:
-        env, base, _kept = make(task)
+        env, base, _kept = make(task, line.views)
         for scenario in ("clean", "aged_transmission", "heavy_payload"):
             rows = np.array([slower(env, base, scenario, line.steps) for _ in range(line.repeats)])
             percent = 100 * (rows[:, 1] / rows[:, 0] - 1)
