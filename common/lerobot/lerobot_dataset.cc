@@ -278,6 +278,21 @@ void ForgetBeginning(const std::string& directory) {
   fs::remove(directory + kBegun, ignored);
 }
 
+// Readers would fail at the first of the episodes that lies behind a lost one.
+absl::Status CheckFiles(const std::string& directory, int64_t episodes) {
+  std::error_code ignored;
+  for (int64_t episode = 0; episode < episodes; ++episode) {
+    for (const char* folder : {"data", "meta/episodes"}) {
+      const std::string file = LerobotEpisodeFile(directory, folder, episode);
+      if (fs::exists(file, ignored)) continue;
+      return absl::FailedPreconditionError(
+          absl::StrCat(file, " is not there, though ", directory, kInfo, " counts ", episodes,
+                       " episodes; put it back, or record into another folder"));
+    }
+  }
+  return absl::OkStatus();
+}
+
 // What meta/info.json says, `fresh` where there is none yet.
 absl::StatusOr<Json> InfoOf(const std::string& directory, const Json& fresh) {
   const std::string path = directory + kInfo;
@@ -285,6 +300,7 @@ absl::StatusOr<Json> InfoOf(const std::string& directory, const Json& fresh) {
     RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostInfoBytes));
     Json there = Json::parse(text, nullptr, /*allow_exceptions=*/false);
     RS_RETURN_IF_ERROR(CheckInfo(path, there, fresh));
+    RS_RETURN_IF_ERROR(CheckFiles(directory, there["total_episodes"].get<int64_t>()));
     return there;
   }
   // Of a first episode that was never finished, or of somebody else's set without its heart.

@@ -180,6 +180,16 @@ class Datasets(unittest.TestCase):
             self.assertEqual((data.episodes, data.steps), (1, 3))
         self.read_back()
 
+    def test_a_set_that_lost_an_episode_does_not_grow(self):
+        with rs.EpisodeDataset(self.folder) as data:
+            for _ in range(2):
+                fill(data, 3)
+                data.end("x", True)
+        lost = self.folder / "data/chunk-000/file-000.parquet"
+        lost.unlink()
+        with self.assertRaisesRegex(rs.WrongOrder, f"{lost} is not there, though .*info.json counts 2 episodes; put it back"):
+            rs.EpisodeDataset(self.folder)
+
     def test_data_of_others_stays(self):
         theirs = self.folder / "data/chunk-000/file-000.parquet"
         theirs.parent.mkdir(parents=True)
