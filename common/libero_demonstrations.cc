@@ -164,6 +164,8 @@ absl::Status LiberoDemonstrationWriter::Add(const LiberoDemonstration& demonstra
   RS_RETURN_IF_ERROR(file_.SetAttribute(group, "model_file", demonstration.model_file));
   if (demonstration.initial_state.has_value())
     RS_RETURN_IF_ERROR(file_.SetAttribute(group, "initial_state", *demonstration.initial_state));
+  if (!demonstration.origin.empty())
+    RS_RETURN_IF_ERROR(file_.SetAttribute(group, "origin", demonstration.origin));
   RS_RETURN_IF_ERROR(file_.SetAttribute(
       group, "init_state",
       absl::MakeConstSpan(columns.states).subspan(0, columns.states.size() / steps)));

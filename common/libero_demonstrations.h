@@ -28,6 +28,7 @@ namespace robostress {
 //     obs/proprioception [T,8]  what the policy is given, where that is not ee_pos, ee_ori, fingers
 //     obs/aux            [T,8]  targets of nano's auxiliary head
 //     attribute initial_state   which of the task's initial states, or which draw
+//     attribute origin          JSON: unit, scenario, method and so on, or the recorder's settings
 //     actions_sent, actions_measured [T,7]  what was sent for `actions`, and what the arm did
 // env_args, env_kwargs, controller_configs, control_delta says, as robosuite has it, whether
 // actions are displacements (true, or nothing said: LIBERO's) or absolute targets (false). In
@@ -52,6 +53,7 @@ struct LiberoDemonstration {
   std::string model_file;
   std::optional<int64_t> initial_state;
   bool success = true;
+  std::string origin;  // JSON: which episode of what it is; empty: nothing is said
 };
 
 // Writes a file demonstration by demonstration.

@@ -8,20 +8,35 @@
 
 namespace robostress {
 
-absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text) {
-  LiberoFixtures fixtures;
-  if (text == "centred") return fixtures;
+namespace {
+
+// False: `text` is none of the words.
+bool ReadWord(const std::string& text, LiberoFixtures& fixtures) {
+  if (text == "centred") return true;
   if (text == "sampled") {
     fixtures.source = LiberoFixtures::Source::kSampled;
-    return fixtures;
+    return true;
   }
   absl::string_view seed = text;
   fixtures.each_seeded = absl::ConsumePrefix(&seed, "numpy-each:");
-  if (text == "numpy" || ((fixtures.each_seeded || absl::ConsumePrefix(&seed, "numpy:")) &&
-                          absl::SimpleAtoi(seed, &fixtures.seed))) {
-    fixtures.source = LiberoFixtures::Source::kNumpy;
-    return fixtures;
-  }
+  if (text != "numpy" && !((fixtures.each_seeded || absl::ConsumePrefix(&seed, "numpy:")) &&
+                           absl::SimpleAtoi(seed, &fixtures.seed)))
+    return false;
+  fixtures.source = LiberoFixtures::Source::kNumpy;
+  return true;
+}
+
+}  // namespace
+
+bool NamesFixtureTable(const std::string& text) {
+  LiberoFixtures ignored;
+  return !text.empty() && !ReadWord(text, ignored);
+}
+
+absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text) {
+  LiberoFixtures fixtures;
+  if (ReadWord(text, fixtures)) return fixtures;
+  fixtures = {};
   if (access(text.c_str(), R_OK) != 0) {
     return absl::InvalidArgumentError(
         absl::StrCat("libero_fixtures '", text,

@@ -25,6 +25,9 @@ struct LiberoFixtures {
   std::string table;  // of kTable: the file
 };
 
+// Whether `text` is none of the words below, and so the path of a table.
+bool NamesFixtureTable(const std::string& text);
+
 // "centred", "sampled", "numpy", "numpy:SEED", "numpy-each:SEED", or the path of a readable table.
 // InvalidArgument names what was given and what is known.
 absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text);

@@ -2,15 +2,29 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/libero_home.h"
+#include "common/plain_line.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 
 namespace robostress {
 namespace {
 
 namespace fs = std::filesystem;
+
+// JSON and terminals show it.
+absl::Status CheckName(const std::string& name, const std::string& folder) {
+  const bool utf8 = !nlohmann::json::parse("\"" + name + "\"", nullptr, false).is_discarded();
+  if (utf8 && IsPlainLine(name)) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(folder, ": the name '", absl::CHexEscape(name),
+                   "' of a suite or task is not plain UTF-8 without quotes; rename it"));
+}
 
 }  // namespace
 
@@ -26,10 +40,13 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
     const fs::path& file = entry->path();
     std::error_code ignored;
     // Archives leave files such as ._task.bddl.
-    if (file.extension() == ".bddl" && !file.filename().string().starts_with('.') &&
-        fs::is_regular_file(file, ignored))
-      read.tasks.push_back(file.stem().string());
+    if (file.extension() != ".bddl" || file.filename().string().starts_with('.') ||
+        !fs::is_regular_file(file, ignored))
+      continue;
+    read.tasks.push_back(file.stem().string());
+    RS_RETURN_IF_ERROR(CheckName(read.tasks.back(), folder));
   }
+  RS_RETURN_IF_ERROR(CheckName(read.suite, folder));
   if (error) return absl::NotFoundError(absl::StrCat(folder, ": ", error.message()));
   if (read.tasks.empty()) {
     return absl::NotFoundError(absl::StrCat(
@@ -58,6 +75,17 @@ std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& t
       const fs::path file = place / absl::StrCat(task, ending);
       if (fs::is_regular_file(file, ignored)) return file.string();
     }
+  }
+  return "";
+}
+
+std::string LiberosOwnFolder(const std::string& libero_root, const std::string& suite) {
+  if (!IsLiberosOwn(suite)) return "";
+  const std::string root = LiberoRoot(libero_root, "LIBERO_ROOT");
+  for (const char* inside : {"/libero/libero", "/libero", ""}) {
+    const std::string folder = absl::StrCat(root, inside, "/bddl_files/", suite);
+    std::error_code ignored;
+    if (!root.empty() && fs::is_directory(folder, ignored)) return folder;
   }
   return "";
 }

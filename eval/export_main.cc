@@ -30,6 +30,9 @@ void PrintEpisodes(const robostress::ExportSummary& summary) {
               static_cast<long long>(summary.steps));
   if (summary.failures_left_out > 0)
     std::printf(" (%lld failures left out)", static_cast<long long>(summary.failures_left_out));
+  if (summary.unfinished > 0)
+    std::printf("; %lld units of the run are unfinished and left out",
+                static_cast<long long>(summary.unfinished));
   std::printf("\n");
 }
 

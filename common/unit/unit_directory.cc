@@ -187,7 +187,7 @@ absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::str
   if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
   const json present = json::parse(text, nullptr, false);
   for (const auto& [key, what] : {std::pair{kScenarioSha256, "a scenario file"},
-                                  {kLiberoTasksSha256, "a folder of LIBERO tasks"},
+                                  {kLiberoTasksSha256, "LIBERO tasks"},
                                   {kLiberoFixturesSha256, "a table of LIBERO's fixtures"}}) {
     const auto now = notes.find(key);
     const std::string played = TextAt(present, key);

@@ -17,6 +17,9 @@ namespace robostress {
 // scenario file, a folder of LIBERO tasks, a table of where LIBERO's fixtures stand.
 inline constexpr char kScenarioSha256[] = "scenario_sha256";
 inline constexpr char kLiberoTasksSha256[] = "libero_tasks_sha256";
+// Whether what LIBERO's tasks read is as published: kLiberoFilesPublished, or a sentence.
+inline constexpr char kLiberoFiles[] = "libero_files";
+inline constexpr char kLiberoFilesPublished[] = "as published";
 inline constexpr char kLiberoFixturesSha256[] = "libero_fixtures_sha256";
 
 // The files of one unit, and what makes them resumable:

@@ -62,8 +62,11 @@ class UnitRun {
     if (IsScenarioFile(unit_.scenario)) {
       RS_ASSIGN_OR_RETURN(notes[kScenarioSha256], Sha256OfFile(unit_.scenario));
     }
-    if (!unit_.libero_tasks.empty()) {
-      RS_ASSIGN_OR_RETURN(notes[kLiberoTasksSha256], LiberoTasksSha256(unit_.libero_tasks));
+    const std::string tasks = unit_.libero_tasks.empty()
+                                  ? LiberosOwnFolder(unit_.libero_root, unit_.suite)
+                                  : unit_.libero_tasks;
+    if (!tasks.empty()) {
+      RS_ASSIGN_OR_RETURN(notes[kLiberoTasksSha256], LiberoTasksSha256(tasks));
     }
     RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit_.libero_fixtures));
     if (!fixtures.table.empty()) {

@@ -167,7 +167,7 @@ class Targets {
     if (!options_.mcap.empty()) RS_RETURN_IF_ERROR(AddMcap(unit, recording));
     if (options_.libero.empty() && options_.lerobot.empty()) return absl::OkStatus();
     RS_ASSIGN_OR_RETURN(std::vector<std::vector<Image>> images, Decoded(recording));
-    if (!options_.libero.empty()) RS_RETURN_IF_ERROR(AddLibero(recording, images));
+    if (!options_.libero.empty()) RS_RETURN_IF_ERROR(AddLibero(unit, recording, images));
     if (options_.lerobot.empty()) return absl::OkStatus();
     if (!lerobot_.has_value()) {
       RS_ASSIGN_OR_RETURN(lerobot_, LerobotDataset::Open(options_.lerobot, SchemaOf(recording)));
@@ -216,7 +216,7 @@ class Targets {
                                             recording.task, recording.episode));
   }
 
-  absl::Status AddLibero(const EpisodeRecording& recording,
+  absl::Status AddLibero(const std::string& unit, const EpisodeRecording& recording,
                          const std::vector<std::vector<Image>>& images) {
     if (recording.cameras != std::vector<std::string>{"agentview", "robot0_eye_in_hand"}) {
       return absl::InvalidArgumentError(
@@ -226,6 +226,13 @@ class Targets {
     }
     RS_RETURN_IF_ERROR(MakeDirectories(options_.libero));
     const std::string path = absl::StrCat(options_.libero, "/", recording.task_name, "_demo.hdf5");
+    const std::string& other = suites_.try_emplace(path, recording.suite).first->second;
+    if (other != recording.suite) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "suites ", other, " and ", recording.suite, " both have a task ", recording.task_name,
+          ", and LIBERO's form has one file a task; sweep them into two runs, or leave --libero "
+          "out"));
+    }
     auto at = libero_.find(path);
     if (at == libero_.end()) {
       RS_ASSIGN_OR_RETURN(LiberoDemonstrationWriter writer,
@@ -237,12 +244,15 @@ class Targets {
                                      .problem = recording.problem}));
       at = libero_.emplace(path, std::move(writer)).first;
     }
-    return at->second.Add(ToLibero(recording, images));
+    LiberoDemonstration demonstration = ToLibero(recording, images);
+    demonstration.origin = OriginOf(unit, recording).dump();
+    return at->second.Add(demonstration);
   }
 
   const ExportOptions& options_;
   std::optional<LerobotDataset> lerobot_;
   std::map<std::string, LiberoDemonstrationWriter> libero_;  // by path
+  std::map<std::string, std::string> suites_;                // of these files
   std::string origins_;
   bool done_ = false;
 };
@@ -333,6 +343,7 @@ absl::StatusOr<ExportSummary> ExportRun(const ExportOptions& options) {
   RS_RETURN_IF_ERROR(CheckNames("--scenarios", options.scenarios, scenarios));
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<Targets> targets, Targets::Make(options));
   ExportSummary summary;
+  summary.unfinished = static_cast<int64_t>(run.unfinished.size());
   for (const UnitResult& unit : run.units) {
     if (!Wanted(options.methods, unit.config.method->method) ||
         !Wanted(options.scenarios, ScenarioLabel(unit.config.scenario)))

@@ -19,6 +19,7 @@ struct ExportOptions {
 struct ExportSummary {
   int64_t episodes = 0, steps = 0;
   int64_t failures_left_out = 0;
+  int64_t unfinished = 0;  // units of the run, of which nothing is written
   int64_t ticks = 0, samples = 0, pictures = 0, pictures_missing = 0;  // of an arm's run
   std::vector<std::string> written;                                    // folders and files
 };

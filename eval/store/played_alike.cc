@@ -14,7 +14,9 @@
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/json_text.h"
+#include "common/libero_fixtures.h"
 #include "common/libero_task_folder.h"
+#include "common/suites.h"
 #include "common/unit/robots.h"
 #include "common/unit/unit_directory.h"
 #include "eval/plan/plan.h"
@@ -40,14 +42,10 @@ void Flatten(const YAML::Node& node, const std::string& path, FlatOptions& optio
   }
 }
 
-bool IsWord(const std::string& value) {
-  return value.find('/') == std::string::npos && !absl::EndsWith(value, ".json");
-}
-
 // A path says where a file lies on somebody's machine; its content decides, as it was when the unit
 // was played where that is known.
 std::string FileOrWord(const std::string& value) {
-  if (absl::StartsWith(value, kPlayed) || IsWord(value)) return value;
+  if (absl::StartsWith(value, kPlayed) || !NamesFixtureTable(value)) return value;
   const absl::StatusOr<std::string> hash = Sha256OfFile(value);
   return hash.ok() ? absl::StrCat(kPlayed, *hash) : "that is gone";
 }
@@ -152,8 +150,8 @@ class ValueText {
 }  // namespace
 
 bool NamesFiles(const UnitConfig& config) {
-  return !config.libero_tasks.empty() || absl::StartsWith(config.libero_fixtures, kPlayed) ||
-         !IsWord(config.libero_fixtures);
+  return !config.libero_tasks.empty() || IsLiberosOwn(config.suite) ||
+         NamesFixtureTable(config.libero_fixtures);
 }
 
 UnitConfig WithPlayedFiles(UnitConfig config, const nlohmann::json& provenance) {
@@ -171,6 +169,8 @@ UnitConfig PresentFiles::Of(UnitConfig config) {
     if (fresh) known->second = hash(value);
     value = known->second;
   };
+  if (config.libero_tasks.empty())
+    config.libero_tasks = LiberosOwnFolder(config.libero_root, config.suite);
   if (!config.libero_tasks.empty()) once(config.libero_tasks, TaskFolderHash);
   once(config.libero_fixtures, FileOrWord);
   return config;
@@ -193,6 +193,8 @@ std::string FirstDifference(const FlatOptions& a, const std::string& in_a, const
   };
   for (const std::string& key : keys) {
     const std::string of_a = value_of(a, key), of_b = value_of(b, key);
+    // Versions up to 0.2 did not note what LIBERO's own tasks were.
+    if (key == "libero_tasks" && !(a.contains(key) && b.contains(key))) continue;
     if (of_a != of_b)
       return absl::StrCat(key, " is ", of_a, " in ", in_a, ", and ", of_b, " in ", in_b);
   }
@@ -268,6 +270,8 @@ void PlayedAlike::Look(const UnitConfig& config, const std::string& place, bool 
                         FlatOptionsOf(DumpConfig(part)), place);
     if (!difference.empty() && unlike_.insert(what).second)
       complaints_.push_back(absl::StrCat(what, ": ", difference));
+    if (first->second.config.libero_tasks.empty())
+      first->second.config.libero_tasks = part.libero_tasks;
   }
 }
 
@@ -275,6 +279,20 @@ std::vector<std::string> UnlikeUnits(const RunData& run) {
   PlayedAlike alike;
   for (const UnitResult& unit : run.units) alike.Add(unit.config, unit.id);
   return alike.complaints();
+}
+
+std::string LiberoFilesNote(const RunData& run) {
+  std::map<std::string, int> others;  // units by what they say
+  for (const UnitResult& unit : run.units) {
+    const std::string said = TextAt(unit.provenance, kLiberoFiles);
+    if (!said.empty() && said != kLiberoFilesPublished) ++others[said];
+  }
+  std::vector<std::string> notes;
+  for (const auto& [said, units] : others)
+    notes.push_back(absl::StrCat(units, units == 1 ? " unit: " : " units: ", said));
+  return notes.empty() ? ""
+                       : absl::StrCat("Not played on LIBERO as it was published. ",
+                                      absl::StrJoin(notes, "; "), ".");
 }
 
 std::string UnlikeUnitsNote(const RunData& run) {

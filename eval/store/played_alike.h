@@ -20,8 +20,8 @@ FlatOptions FlatOptionsOf(const std::string& yaml);
 std::string FirstDifference(const FlatOptions& a, const std::string& in_a, const FlatOptions& b,
                             const std::string& in_b);
 
-// Whether a unit is played in a task folder or with a table of fixtures, whose content a path does
-// not tell.
+// Whether a unit is played in LIBERO's tasks, in a task folder or with a table of fixtures, whose
+// content a name does not tell.
 bool NamesFiles(const UnitConfig& config);
 // A unit's configuration whose task folder and table of fixtures stand by the hash of what was in
 // them when it was played, where its provenance.json has that: they may have changed since.
@@ -68,5 +68,7 @@ class PlayedAlike {
 std::vector<std::string> UnlikeUnits(const RunData& run);
 // "" where there are none; else what a table must say.
 std::string UnlikeUnitsNote(const RunData& run);
+// The same of units that read other files of LIBERO's than the published ones.
+std::string LiberoFilesNote(const RunData& run);
 
 }  // namespace robostress

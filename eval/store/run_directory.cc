@@ -113,9 +113,9 @@ absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
          {std::tie(now.libero_tasks, then.libero_tasks, unit.config.libero_tasks),
           std::tie(now.libero_fixtures, then.libero_fixtures, unit.config.libero_fixtures)}) {
       if (hash == played || !changed.insert(named).second) continue;
-      complaints.push_back(
-          absl::StrCat(named, " has changed since ", Unit(unit.id),
-                       " was played with it; restore it, or choose another --out"));
+      complaints.push_back(absl::StrCat(
+          named.empty() ? "LIBERO's " + unit.config.suite : named, " has changed since ",
+          Unit(unit.id), " was played with it; restore it, or choose another --out"));
     }
     const std::string file = PlanFile(unit.id);
     const absl::StatusOr<std::string> present = ReadFile(file);

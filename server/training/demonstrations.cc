@@ -142,7 +142,8 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   if (file.tensors().count("aux") > 0) {
     RS_ASSIGN_OR_RETURN(aux, floats("aux", {frames, config_.aux_dim}));
   } else {
-    without_aux_ = path;
+    const auto source = file.metadata().find("source");  // of a file in LIBERO's form
+    without_aux_ = source == file.metadata().end() ? path : source->second;
   }
   const auto check = [&](const char* name, const float* values, int64_t count) -> absl::Status {
     for (int64_t i = 0; i < count; ++i) {

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <map>
+#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -62,6 +64,28 @@ absl::Status AppendDemonstration(const LiberoDemonstrationFile& file, int64_t in
   return absl::OkStatus();
 }
 
+// What a shard is a function of, as its metadata.
+using ShardSource = std::map<std::string, std::string>;
+
+absl::StatusOr<ShardSource> SourceOf(const std::string& path, const NanoConfig& config,
+                                     int stride) {
+  RS_ASSIGN_OR_RETURN(const std::string hash, Sha256OfFile(path));
+  return ShardSource{{"source", path},
+                     {"source_sha256", hash},
+                     {"stride", absl::StrCat(stride)},
+                     {"image_size", absl::StrCat(config.image_size)},
+                     {"horizon", absl::StrCat(config.horizon)}};
+}
+
+bool MadeFrom(const ShardSource& source, const std::string& shard) {
+  if (!fs::exists(shard)) return false;
+  const absl::StatusOr<SafetensorsFile> file = SafetensorsFile::Open(shard);
+  return file.ok() && std::all_of(source.begin(), source.end(), [&](const auto& entry) {
+           const auto found = file->metadata().find(entry.first);
+           return found != file->metadata().end() && found->second == entry.second;
+         });
+}
+
 }  // namespace
 
 absl::Status ConvertLiberoFile(const std::string& path, const NanoConfig& config, int stride,
@@ -78,7 +102,8 @@ absl::Status ConvertLiberoFile(const std::string& path, const NanoConfig& config
   const int64_t count = static_cast<int64_t>(frames.episode.size()), size = config.image_size;
   SafetensorsWriter writer;
   writer.SetMetadata("instruction", file.instruction());
-  writer.SetMetadata("source", path);
+  RS_ASSIGN_OR_RETURN(const ShardSource source, SourceOf(path, config, stride));
+  for (const auto& [key, value] : source) writer.SetMetadata(key, value);
   writer.SetMetadata("version", "1");
   writer.Add("images", DType::kU8, {count, 2, size, size, 3}, frames.images.data(),
              frames.images.size());
@@ -112,10 +137,22 @@ absl::StatusOr<std::vector<std::string>> PrepareShards(const std::vector<std::st
   }
   if (files.empty()) return directories;
   RS_RETURN_IF_ERROR(MakeDirectories(converted));
+  std::set<std::string> shards;
   for (size_t i = 0; i < files.size(); ++i) {
     const std::string shard =
         absl::StrFormat("%s/%03d_%s.safetensors", converted, i, fs::path(files[i]).stem().string());
-    if (!fs::exists(shard)) RS_RETURN_IF_ERROR(ConvertLiberoFile(files[i], config, stride, shard));
+    shards.insert(shard);
+    RS_ASSIGN_OR_RETURN(const ShardSource source, SourceOf(files[i], config, stride));
+    if (!MadeFrom(source, shard))
+      RS_RETURN_IF_ERROR(ConvertLiberoFile(files[i], config, stride, shard));
+  }
+  // Of an earlier try with other data.
+  std::error_code error;
+  for (fs::directory_iterator it(converted, error), end; !error && it != end; it.increment(error)) {
+    const fs::path file = it->path();
+    std::error_code ignored;
+    if (file.extension() == ".safetensors" && !shards.contains(file.string()))
+      fs::remove(file, ignored);
   }
   directories.push_back(converted);
   return directories;

@@ -392,8 +392,8 @@ absl::StatusOr<BddlProblem> ParseBddl(const std::string& file, std::string_view 
 }
 
 absl::StatusOr<BddlProblem> ReadBddl(const std::string& file) {
-  RS_ASSIGN_OR_RETURN(std::string text, ReadFile(file));
-  return ParseBddl(file, text);
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  return ParseBddl(file, std::string(absl::StripPrefix(text, "\xEF\xBB\xBF")));  // editors' mark
 }
 
 }  // namespace robostress::libero

@@ -85,6 +85,8 @@ void AddInputs(const Recording& recording, SafetensorsWriter& out) {
   out.AddDoubles("actions", {recording.steps(), 7}, recording.actions);
   out.AddDoubles("init_state", {static_cast<int64_t>(recording.init_state.size())},
                  recording.init_state);
+  out.AddDoubles("reset_qpos", {static_cast<int64_t>(recording.reset_qpos.size())},
+                 recording.reset_qpos);
   out.AddDoubles("initial_joint", {7}, {recording.home.data(), 7});
 }
 
@@ -99,8 +101,8 @@ absl::StatusOr<Recording> ReadRecording(const SafetensorsFile& file, const Liber
     return absl::InvalidArgumentError(absl::StrCat(file.path(), ": tensor 'actions' has no rows"));
   }
   RS_ASSIGN_OR_RETURN(recording.init_state, file.ReadDoubles("init_state", {1 + m.nq + m.nv}));
-  RS_ASSIGN_OR_RETURN(const std::vector<double> reset, file.ReadDoubles("reset_qpos", {m.nq}));
-  for (int i = 0; i < 7; ++i) recording.home[i] = reset[panda.qpos[i]];
+  RS_ASSIGN_OR_RETURN(recording.reset_qpos, file.ReadDoubles("reset_qpos", {m.nq}));
+  for (int i = 0; i < 7; ++i) recording.home[i] = recording.reset_qpos[panda.qpos[i]];
   if (!file.tensors().contains("body_pos") && !file.tensors().contains("body_quat"))
     return recording;
   RS_ASSIGN_OR_RETURN(const std::vector<double> pos, file.ReadDoubles("body_pos", {m.nbody, 3}));

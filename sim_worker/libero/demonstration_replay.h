@@ -12,7 +12,8 @@ namespace robostress::libero {
 // A recorded run of a task: where it starts, and its commands.
 struct Recording {
   std::vector<double> init_state;     // [1 + nq + nv]: time, qpos, qvel
-  Eigen::Matrix<double, 7, 1> home;   // posture at the reset of the originals' controller [rad]
+  std::vector<double> reset_qpos;     // [nq] where the originals' controller was reset
+  Eigen::Matrix<double, 7, 1> home;   // the arm's joints in it [rad]
   std::vector<FixturePose> fixtures;  // empty: where the task has them
   std::vector<double> actions;        // [T, 7] normalised commands
   int steps() const { return static_cast<int>(actions.size() / 7); }

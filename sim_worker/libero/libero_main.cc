@@ -18,13 +18,13 @@
 #include "common/suites.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/setup.h"
+#include "sim_worker/libero/task_doubts.h"
 
 extern char** environ;
 
 namespace robostress::libero {
 namespace {
 
-constexpr char kFiles[] = "sim_worker/libero/needed_files.sha256";
 constexpr const char* kPackages[] = {
     "hf-libero==0.1.4",
     "robosuite==1.4.1",
@@ -112,7 +112,8 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
   const std::string home = LiberoHome();
   if (home.empty())
     return absl::InvalidArgumentError("neither XDG_DATA_HOME nor HOME says where to remember it");
-  RS_ASSIGN_OR_RETURN(const std::vector<NeededFile> needed, ReadNeededFiles(DataPath(kFiles)));
+  RS_ASSIGN_OR_RETURN(const std::vector<NeededFile> needed,
+                      ReadNeededFiles(DataPath(kNeededFiles)));
   std::string python = line.python.empty() ? UsualPython() : line.python;
   if (line.install) {
     RS_RETURN_IF_ERROR(Install(python));
@@ -169,11 +170,14 @@ absl::Status PrintFiles(const std::string& libero_root, const std::string& robos
   return absl::OkStatus();
 }
 
-// Composes and resets a task; its number of initial states.
-absl::StatusOr<int> TryTask(const UnitConfig& unit, int task) {
+// Composes and resets a task; its number of initial states, and what is doubtful.
+absl::StatusOr<std::string> TryTask(const UnitConfig& unit, int task) {
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<LiberoSimTask> made, LiberoSimTask::Create(unit, task));
   RS_RETURN_IF_ERROR(made->Reset(0));
-  return made->init_states().rows;
+  std::string found = absl::StrCat(made->init_states().rows, " states");
+  for (const std::string& doubt : DoubtsOf(made->scene().problem))
+    absl::StrAppend(&found, "\n       ", doubt);
+  return found;
 }
 
 // Whether every task of the folders loads and resets.
@@ -186,11 +190,10 @@ absl::StatusOr<bool> TryFolders(const std::vector<std::string>& folders, UnitCon
     unit.episodes = 1;
     std::printf("%s\n", folder.suite.c_str());
     for (size_t task = 0; task < folder.tasks.size(); ++task, ++tried) {
-      const absl::StatusOr<int> states = TryTask(unit, static_cast<int>(task));
-      if (states.ok()) ++loaded;
+      const absl::StatusOr<std::string> found = TryTask(unit, static_cast<int>(task));
+      if (found.ok()) ++loaded;
       std::printf("  %3zu  %s  %s\n", task, folder.tasks[task].c_str(),
-                  states.ok() ? absl::StrCat(*states, " states").c_str()
-                              : std::string(states.status().message()).c_str());
+                  found.ok() ? found->c_str() : std::string(found.status().message()).c_str());
       std::fflush(stdout);
     }
   }

@@ -44,6 +44,11 @@ struct CommandLine {
 
 absl::StatusOr<UnitConfig> ResolvedUnit(const CommandLine& line) {
   UnitConfig unit = line.unit;
+  if (!unit.suite.empty() && !unit.libero_tasks.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat("--suite ", unit.suite, " and --libero-tasks ",
+                                                   unit.libero_tasks,
+                                                   " name two suites; give one of them"));
+  }
   if (line.mode == "parity") unit.sim.stepping = Stepping::kParity;
   RS_RETURN_IF_ERROR(ApplyOverrides(line.overrides, unit.sim));
   if (!unit.libero_tasks.empty()) {
@@ -61,12 +66,28 @@ absl::StatusOr<UnitConfig> ResolvedUnit(const CommandLine& line) {
   return unit;
 }
 
+const char* NameOf(Stepping stepping) {
+  switch (stepping) {
+    case Stepping::kParity:
+      return "parity";
+    case Stepping::kReference:
+      return "reference";
+    default:
+      return "fast";
+  }
+}
+
 absl::Status RunReplay(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const UnitConfig unit, ResolvedUnit(line));
   RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Open(line.in));
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<LiberoSimTask> task,
                       LiberoSimTask::Create(unit, line.task));
   RS_ASSIGN_OR_RETURN(const Recording recording, ReadRecording(file, *task));
+  if (line.settle_steps >= recording.steps()) {
+    return absl::InvalidArgumentError(absl::StrCat("--settle-steps ", line.settle_steps,
+                                                   " leaves none of the ", recording.steps(),
+                                                   " actions of ", line.in, " to the scenario"));
+  }
   SafetensorsWriter writer;
   RS_RETURN_IF_ERROR(Replay(recording, line.settle_steps, *task, writer));
   writer.SetMetadata("suite", unit.suite);
@@ -74,11 +95,12 @@ absl::Status RunReplay(const CommandLine& line) {
   writer.SetMetadata("scenario", unit.scenario);
   writer.SetMetadata("severity", absl::StrCat(unit.severity));
   UnitConfig sim_only = unit;
+  sim_only.sim.settle_steps = line.settle_steps;
   writer.SetMetadata("sim", DumpConfig(sim_only.sim));
   RS_RETURN_IF_ERROR(writer.Write(line.out));
-  std::printf("%s: %d control steps of %s task %d (%s), scenario %s, mode %s\n", line.out.c_str(),
-              recording.steps(), unit.suite.c_str(), line.task, task->name().c_str(),
-              unit.scenario.c_str(), line.mode.c_str());
+  std::printf("%s: %d control steps of %s task %d (%s), scenario %s, %s stepping\n",
+              line.out.c_str(), recording.steps(), unit.suite.c_str(), line.task,
+              task->name().c_str(), unit.scenario.c_str(), NameOf(unit.sim.stepping));
   return absl::OkStatus();
 }
 

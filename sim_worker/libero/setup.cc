@@ -15,6 +15,7 @@
 #include "common/atomic_file.h"
 #include "common/child_process.h"
 #include "common/status_macros.h"
+#include "common/unit/unit_directory.h"
 #include "sim_worker/libero/bddl.h"
 #include "sim_worker/libero/scene.h"
 
@@ -193,6 +194,27 @@ absl::StatusOr<std::vector<NeededFile>> ListNeededFiles(const LiberoPaths& paths
     files.push_back({path, hash, {}});
   }
   return files;
+}
+
+std::string FilesNote(const LiberoPaths& paths, const std::vector<NeededFile>& needed) {
+  int others = 0;
+  std::string first, hashes;
+  for (const NeededFile& file : needed) {
+    absl::string_view inside = file.path;
+    const std::string full =
+        absl::ConsumePrefix(&inside, kCode)
+            ? absl::StrCat(paths.libero, "/", inside)
+            : absl::StrCat(paths.robosuite, "/", absl::StripPrefix(inside, kRobosuite));
+    const absl::StatusOr<std::string> hash = Sha256OfFile(full);
+    absl::StrAppend(&hashes, file.path, " ", hash.value_or("missing"), "\n");
+    if (Known(file, hash)) continue;
+    if (others++ == 0) first = file.path;
+  }
+  if (others == 0) return kLiberoFilesPublished;
+  return absl::StrCat(others, " of ", needed.size(),
+                      " files that LIBERO's tasks read are missing or not those that were "
+                      "published, such as ",
+                      first, " (SHA-256 of the list: ", Sha256Hex(hashes), ")");
 }
 
 std::vector<FoundPart> FindParts(const std::vector<NeededFile>& needed,

@@ -19,6 +19,9 @@ struct NeededFile {
   std::vector<std::string> or_also;  // of versions that are as good
 };
 
+// The list that comes with this program; DataPath() finds it.
+inline constexpr char kNeededFiles[] = "sim_worker/libero/needed_files.sha256";
+
 // A list in sha256sum's form. Lines that begin with '#' are remarks; "# or HASH  PATH" names
 // another version of the file of the line before. An error names file and line.
 absl::StatusOr<std::vector<NeededFile>> ReadNeededFiles(const std::string& file);
@@ -39,6 +42,10 @@ struct FoundPart {
   std::vector<std::string> different;
   bool complete() const { return !folder.empty() && missing.empty() && different.empty(); }
 };
+
+// kLiberoFilesPublished if every file of the list is below `paths` as the list says, else a
+// sentence that counts and names those that are not.
+std::string FilesNote(const LiberoPaths& paths, const std::vector<NeededFile>& needed);
 
 // Looks for the four parts below `roots`: site-packages, checkouts, or folders that hold assets,
 // bddl_files or init_files. Of several the one with fewest missing and different files is taken,

@@ -7,15 +7,19 @@
 
 #include <chrono>
 #include <cstdio>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
+#include "common/hdf5_file.h"
 #include "common/rpc/policy_client.h"
 #include "common/run_main.h"
+#include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "sim_worker/record/expert_demonstration.h"
@@ -41,7 +45,7 @@ constexpr char kExamples[] =
     "number.\n";
 
 struct CommandLine {
-  std::string suite = "all";
+  std::string suite;  // empty: all
   std::vector<int> tasks;
   int episodes = 40, first_draw = kFirstTrainingDraw, workers = 1;
   int64_t seed = 0;
@@ -77,24 +81,34 @@ double CpuSeconds() {
 absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   std::vector<Job> jobs;
   std::vector<std::string> suites = line.folder_suites;
+  if (!suites.empty() && !line.suite.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--suite ", line.suite,
+                     " is beside --libero-tasks, which are suites of their own; give "
+                     "one of them"));
+  }
+  const std::string asked = line.suite.empty() ? "all" : line.suite;
   for (const SuiteInfo& info : AllSuites()) {
     const std::string group = info.needs_libero ? "libero" : "all";
     if (info.robot == "panda" && line.folder_suites.empty() &&
-        (line.suite == group || line.suite == info.name))
+        (asked == group || asked == info.name))
       suites.push_back(info.name);
   }
   for (const std::string& suite : suites) {
     const SuiteInfo& info = *FindSuite(suite);
+    for (const int task : line.tasks) {
+      if (task >= 0 && task < info.num_tasks) continue;
+      return absl::NotFoundError(absl::StrCat("task ", task, " of ", suite,
+                                              " does not exist; it has 0 to ", info.num_tasks - 1));
+    }
     for (int task = 0; task < info.num_tasks; ++task) {
-      const bool wanted = line.tasks.empty() ||
-                          std::find(line.tasks.begin(), line.tasks.end(), task) != line.tasks.end();
-      if (wanted) jobs.push_back({info.name, task});
+      if (line.tasks.empty() || absl::c_linear_search(line.tasks, task))
+        jobs.push_back({info.name, task});
     }
   }
   if (jobs.empty()) {
-    return absl::NotFoundError(
-        absl::StrCat("no suite '", line.suite,
-                     "' with the tasks given; `robostress suites` lists suites and tasks"));
+    return absl::NotFoundError(absl::StrCat(
+        "no suite '", asked, "'; all, libero, or one of what `robostress suites` lists"));
   }
   if (!line.eval && line.first_draw < kFirstTrainingDraw) {
     return absl::InvalidArgumentError(absl::StrCat("--first-draw ", line.first_draw,
@@ -115,16 +129,50 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   return jobs;
 }
 
+// What an episode is a function of beside its suite, task and draw.
+std::string SettingsOf(const CommandLine& line) {
+  nlohmann::ordered_json settings = {{"scenario", line.scenario},
+                                     {"severity", line.severity},
+                                     {"seed", line.seed},
+                                     {"stride", line.record.stride},
+                                     {"image_size", line.record.image_size},
+                                     {"noisy_share", line.record.noisy_share},
+                                     {"execution_noise", line.record.execution_noise},
+                                     {"pictures", line.plain ? "plain" : "original"}};
+  if (!line.server.empty()) settings["policy"] = line.policy, settings["mix"] = line.mix;
+  return settings.dump();
+}
+
+// The settings with which a file was recorded; "" where it does not say.
+std::string SettingsIn(const std::string& path, bool hdf5) {
+  if (hdf5) {
+    const absl::StatusOr<Hdf5File> file = Hdf5File::Open(path);
+    return file.ok() ? file->StringAttribute("data/demo_0", "origin").value_or("") : "";
+  }
+  const absl::StatusOr<SafetensorsFile> file = SafetensorsFile::Open(path);
+  if (!file.ok() || !file->metadata().contains("settings")) return "";
+  return file->metadata().at("settings");
+}
+
 // Where a task's episodes go: a shard, or a file in LIBERO's form.
 class EpisodeFile {
  public:
   static absl::StatusOr<EpisodeFile> Create(const CommandLine& line, const Job& job,
                                             const SimTask& task) {
     const bool hdf5 = line.format == "hdf5";
-    EpisodeFile file(absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task,
-                                     line.tag, line.first_draw, hdf5 ? "hdf5" : "safetensors"),
-                     Shard(job.suite, job.task, task.instruction(), line.record.execution_noise),
-                     FindSuite(job.suite)->needs_libero);
+    const std::string settings = SettingsOf(line);
+    EpisodeFile file(
+        absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task, line.tag,
+                        line.first_draw, hdf5 ? "hdf5" : "safetensors"),
+        Shard(job.suite, job.task, task.instruction(), settings, line.record.execution_noise),
+        FindSuite(job.suite)->needs_libero);
+    file.settings_ = settings;
+    const std::string before = SettingsIn(file.path_, hdf5);
+    if (!before.empty() && before != settings) {
+      return absl::AlreadyExistsError(absl::StrCat(file.path_, " was recorded with ", before,
+                                                   ", now it is ", settings,
+                                                   "; give another --out or --tag, or remove it"));
+    }
     if (hdf5) {
       RS_ASSIGN_OR_RETURN(file.libero_, LiberoDemonstrationWriter::Create(
                                             file.path_, {.suite = job.suite,
@@ -140,6 +188,7 @@ class EpisodeFile {
     if (libero_.has_value()) {
       LiberoDemonstration demonstration = ToLibero(episode, task.mjcf(), libero_suite_);
       demonstration.initial_state = draw;
+      demonstration.origin = settings_;
       return libero_->Add(demonstration);
     }
     shard_.Add(draw, episode);
@@ -152,7 +201,7 @@ class EpisodeFile {
  private:
   EpisodeFile(std::string path, Shard shard, bool libero_suite)
       : path_(std::move(path)), shard_(std::move(shard)), libero_suite_(libero_suite) {}
-  std::string path_;
+  std::string path_, settings_;
   Shard shard_;
   bool libero_suite_;
   std::optional<LiberoDemonstrationWriter> libero_;
@@ -300,8 +349,8 @@ int main(int argc, char** argv) {
                            "robostress record");
   robostress::CommandLine line;
   app.footer(robostress::kExamples);
-  app.add_option("--suite", line.suite, "A suite; all: the embedded ones; libero: LIBERO's four")
-      ->capture_default_str();
+  app.add_option("--suite", line.suite,
+                 "A suite; all (default): the embedded ones; libero: LIBERO's four");
   app.add_option("--tasks", line.tasks, "Task indices (default: all)")->delimiter(',');
   app.add_option("--libero-tasks", line.libero_tasks,
                  "Folders of .bddl files with initial states, instead of --suite")

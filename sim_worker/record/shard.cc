@@ -35,6 +35,7 @@ absl::Status Shard::Write(const std::string& path) const {
   writer.SetMetadata("task", absl::StrCat(task_));
   writer.SetMetadata("instruction", instruction_);
   writer.SetMetadata("version", "1");
+  writer.SetMetadata("settings", settings_);
   writer.Add("images", DType::kU8, {n, 2, height_, width_, 3}, images_.data(), images_.size());
   writer.AddFloats("state", {n, 8}, state_);
   writer.AddFloats("actions", {n, kLabelSteps, 7}, actions_);

@@ -14,15 +14,18 @@ namespace robostress {
 //   actions F32 [F, 50, 7]       the expert's next commands
 //   aux     F32 [F, 8]           target 3, destination 3 (base frame [m]), holding, progress
 //   episode I64 [F]              index of the draw; all frames of an episode are consecutive
-// metadata: suite, task, instruction, version. With domain randomisation also
+// metadata: suite, task, instruction, version, settings (JSON: of the recorder). With domain
+// randomisation also
 //   execution_sigma F32 [F]      of the frame's episode [command units]
 // and metadata execution_noise, the largest sigma that could be drawn.
 class Shard {
  public:
-  Shard(std::string suite, int task, std::string instruction, double execution_noise)
+  Shard(std::string suite, int task, std::string instruction, std::string settings,
+        double execution_noise)
       : suite_(std::move(suite)),
         task_(task),
         instruction_(std::move(instruction)),
+        settings_(std::move(settings)),
         execution_noise_(execution_noise) {}
 
   void Add(int64_t episode, const Demonstration& demonstration);
@@ -33,7 +36,7 @@ class Shard {
  private:
   std::string suite_;
   int task_;
-  std::string instruction_;
+  std::string instruction_, settings_;
   double execution_noise_;
   int episodes_ = 0;
   int height_ = 0, width_ = 0;

@@ -219,9 +219,12 @@ class SimPlayer : public UnitPlayer {
   }
 
   std::map<std::string, std::string> Provenance() const override {
-    if (remote_ == nullptr) return {};
-    return {{"metadata", remote_->metadata()},
-            {"noise_paired", remote_->pairs_noise() ? "true" : "false"}};
+    std::map<std::string, std::string> notes = options_.notes;
+    if (remote_ != nullptr) {
+      notes["metadata"] = remote_->metadata();
+      notes["noise_paired"] = remote_->pairs_noise() ? "true" : "false";
+    }
+    return notes;
   }
 
   std::optional<PolicyServer> Server() const override {

@@ -51,6 +51,7 @@ struct SimUnitOptions {
   // Above 0: writes episodes/task{T}_episode{E}.safetensors (episode_recording.h) with views of as
   // many pixels a side; changes no row.
   int record_views = 0;
+  std::map<std::string, std::string> notes;  // further entries of provenance.json
 };
 
 // Runs what is missing of a unit of the simulated Panda (RunUnit). An adapting unit takes its

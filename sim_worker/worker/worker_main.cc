@@ -14,9 +14,13 @@
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/program_folder.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
+#include "common/unit/unit_directory.h"
 #include "sim_worker/arm_sensing.h"
+#include "sim_worker/libero/setup.h"
 #include "sim_worker/sim_task.h"
 #include "sim_worker/simulator_row.h"
 #include "sim_worker/worker/model_inversion.h"
@@ -145,6 +149,16 @@ int ExitCode(const absl::Status& status) {
   }
 }
 
+// What provenance.json says of LIBERO's files; "" of other suites, and where they are not found,
+// which the first task says.
+std::string LiberoFiles(const UnitConfig& unit) {
+  const SuiteInfo* suite = FindSuite(unit.suite);
+  if (suite == nullptr || !suite->needs_libero) return "";
+  const auto needed = libero::ReadNeededFiles(DataPath(libero::kNeededFiles));
+  const auto paths = libero::FindLibero(unit.libero_root, unit.robosuite_root);
+  return needed.ok() && paths.ok() ? libero::FilesNote(*paths, *needed) : "";
+}
+
 absl::Status Run(const std::string& unit_file, const std::vector<std::string>& overrides,
                  const SimUnitOptions& options) {
   std::string yaml;
@@ -155,7 +169,10 @@ absl::Status Run(const std::string& unit_file, const std::vector<std::string>& o
   }
   const absl::StatusOr<UnitConfig> unit = ReadUnit(unit_file, yaml, overrides);
   if (!unit.ok()) return unit.status();
-  return RunSimUnit(*unit, options, MakeTask);
+  SimUnitOptions noted = options;
+  if (const std::string files = LiberoFiles(*unit); !files.empty())
+    noted.notes[kLiberoFiles] = files;
+  return RunSimUnit(*unit, noted, MakeTask);
 }
 
 int Main(int argc, char** argv) {

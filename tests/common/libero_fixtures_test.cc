@@ -34,6 +34,13 @@ TEST(LiberoFixturesTest, AnythingElseIsAReadableFile) {
   EXPECT_EQ(fixtures->table, file);
 }
 
+TEST(LiberoFixturesTest, ATableIsWhatIsNoneOfTheWordsHoweverItIsCalled) {
+  for (const char* word : {"centred", "sampled", "numpy", "numpy:3", "numpy-each:1000", ""})
+    EXPECT_FALSE(NamesFixtureTable(word)) << word;
+  for (const char* file : {"table", "poses.json", "./numpy", "numpy:x", "sha256 5a5a"})
+    EXPECT_TRUE(NamesFixtureTable(file)) << file;
+}
+
 TEST(LiberoFixturesTest, AnErrorNamesWhatWasGivenAndWhatIsKnown) {
   for (const char* text : {"centered", "", "numpy:", "numpy:-1", "numpy:4294967296", "numpy-each",
                            "numpy-each:", "/no/file"}) {

@@ -14,6 +14,7 @@ namespace robostress {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -45,6 +46,28 @@ TEST(TaskFolder, IsASuiteNamedAsTheFolder) {
   EXPECT_EQ(TaskFolderOf("mine"), folder);
   EXPECT_EQ(TaskFolderOf("libero_goal"), "");
   EXPECT_THAT(ReadLiberoTaskFolder(folder)->tasks, ElementsAre("a", "b"));
+}
+
+TEST(TaskFolder, NamesThatNoTableCanShowAreRefused) {
+  for (const char* name : {"open_\xFF.bddl", "two\nlines.bddl", "a\"quote.bddl"}) {
+    const std::string folder = Folder("names", {name});
+    EXPECT_THAT(std::string(ReadLiberoTaskFolder(folder).status().message()),
+                AllOf(HasSubstr(folder), HasSubstr("rename it")))
+        << name;
+    fs::remove_all(folder);
+  }
+  EXPECT_TRUE(ReadLiberoTaskFolder(Folder("names", {"\u00d6ffne.bddl"})).ok());
+}
+
+TEST(TaskFolder, LiberosOwnTasksLieWhereItsCheckoutOrPackageHasThem) {
+  const std::string root = Folder("root", {});
+  EXPECT_EQ(LiberosOwnFolder(root, "libero_goal"), "");
+  for (const std::string inside : {"", "/libero", "/libero/libero"}) {
+    const std::string folder = Folder("root" + inside + "/bddl_files/libero_goal", {});
+    EXPECT_EQ(LiberosOwnFolder(root, "libero_goal"), folder);
+  }
+  EXPECT_EQ(LiberosOwnFolder(root, "libero_10"), "");
+  EXPECT_EQ(LiberosOwnFolder(root, "tabletop_goal"), "");
 }
 
 TEST(TaskFolder, AVariantHasTheHorizonAndTheLimitsOfItsSuite) {

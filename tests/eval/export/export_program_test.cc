@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
 #include "common/lerobot/parquet_reader.h"
@@ -124,6 +125,8 @@ TEST_F(Export, LiberosFormHoldsWhatWasRecorded) {
   const auto measured = hdf5.ReadDoubles("data/demo_1/actions_measured", {file->steps(1), 7}, 1000);
   ASSERT_TRUE(sent.ok() && measured.ok()) << sent.status() << measured.status();
   EXPECT_EQ(*sent, columns.actions) << "nothing corrects base";
+  EXPECT_THAT(*hdf5.StringAttribute("data/demo_1", "origin"),
+              HasSubstr("\"scenario\":\"heavy_payload\",\"severity\":5,\"method\":\"base\""));
   EXPECT_NE(*measured, *sent);
   // What was measured is where the arm went: 0.05 m a unit.
   const auto& steps = recorded->steps;
@@ -325,6 +328,38 @@ TEST_F(Export, AnArmsRunIsOneFile) {
       RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --lerobot ", out));
   EXPECT_EQ(wanted, 2);
   EXPECT_THAT(set, HasSubstr("is a run of robot_client"));
+}
+
+// LIBERO-PRO's variants of a task have its name.
+TEST_F(Export, TasksOfTwoSuitesDoNotShareAFile) {
+  const std::string run = root_ + "/two_suites/run", unit = root_ + "/two_suites" + kUnit;
+  fs::create_directories(root_ + "/two_suites");
+  fs::copy(root_ + "/run", run, fs::copy_options::recursive);
+  std::string other = unit;
+  other.replace(other.find("tabletop_goal"), 13, "tabletop_long");
+  fs::copy(unit, other, fs::copy_options::recursive);
+  const std::vector<std::pair<std::string, std::string>> renamed = {
+      {"tabletop_goal", "tabletop_long"}};
+  for (const char* name : {"/config.yaml", "/episodes.jsonl"}) {
+    ASSERT_TRUE(
+        WriteFileAtomically(other + name, absl::StrReplaceAll(*ReadFile(other + name), renamed))
+            .ok());
+  }
+  ASSERT_TRUE(WriteFileAtomically(other + "/DONE",
+                                  absl::StrReplaceAll(*ReadFile(other + "/DONE"),
+                                                      {{*Sha256OfFile(unit + "/episodes.jsonl"),
+                                                        *Sha256OfFile(other + "/episodes.jsonl")}}))
+                  .ok());
+  for (const auto& file : fs::directory_iterator(other + "/episodes")) {
+    EpisodeRecording recording = *ReadEpisodeRecording(file.path().string());
+    recording.suite = "tabletop_long";
+    ASSERT_TRUE(WriteEpisodeRecording(recording, file.path().string()).ok());
+  }
+  const auto [said, code] =
+      RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --libero ", root_, "/two"));
+  EXPECT_EQ(code, 2) << said;
+  EXPECT_THAT(said, HasSubstr("suites tabletop_goal and tabletop_long both have a task "));
+  EXPECT_FALSE(fs::exists(root_ + "/two"));
 }
 
 TEST_F(Export, WhatCannotBeWrittenIsSaidAndNothingStays) {

@@ -6,10 +6,12 @@
 #include "common/config.h"
 #include "common/unit/unit_runner.h"
 #include "eval/plan/titles.h"
+#include "eval/store/played_alike.h"
 #include "eval/store/run_directory.h"
 #include "eval/store/store_check.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "nlohmann/json.hpp"
 #include "tests/eval/synthetic_run.h"
 
 namespace robostress {
@@ -148,7 +150,53 @@ TEST_F(KeptTasks, TheWorkerRefusesOtherTasksToo) {
   options.out = run_.Unit(units[0].id);
   ShortPlayer player(3);
   EXPECT_THAT(std::string(RunUnit(*ResolveUnit(units[0].config), options, player).message()),
-              HasSubstr("was begun with a folder of LIBERO tasks whose SHA-256 begins "));
+              HasSubstr("was begun with LIBERO tasks whose SHA-256 begins "));
+}
+
+// LIBERO's own suites lie somewhere, too, and may have been edited there.
+class KeptLibero : public KeptScenario {
+ protected:
+  void SetUp() override {
+    fs::create_directories(tasks_);
+    Write("root/bddl_files/libero_goal/put_it_there.bddl", "(define (problem first))");
+    SweepGrid grid;
+    grid.libero_root = grid.robosuite_root = folder_ + "/root";
+    grid.suites = {"libero_goal"};
+    grid.scenarios = {"clean"};
+    grid.methods = {"base"};
+    grid.policies = {"expert"};
+    grid.tasks = {0};
+    grid.episodes = 3;
+    grid_ = *ResolveGrid(grid);
+  }
+  const std::string tasks_ = folder_ + "/root/bddl_files/libero_goal";
+};
+
+TEST_F(KeptLibero, OtherTasksDoNotJoinThoseThatWerePlayed) {
+  ASSERT_TRUE(Play(3).ok());
+  SweepGrid more = grid_;
+  more.seeds = {0, 1};
+  EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok());
+  Write("root/bddl_files/libero_goal/put_it_there.bddl", "(define (problem second))");
+  EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
+              AllOf(HasSubstr("LIBERO's libero_goal has changed since "), HasSubstr("restore it")));
+  more.seeds = {1};
+  EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
+              HasSubstr("suite libero_goal: libero_tasks is sha256 "));
+  const std::string provenance = run_.Unit(ExpandUnits(grid_)->front().id) + "/provenance.json";
+  const std::string kept = *ReadFile(provenance);
+  ASSERT_TRUE(WriteFileAtomically(provenance, "{\"model_hash\": \"\"}").ok());
+  EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok()) << "one of 0.1 says nothing";
+  // A report says where files are not the published ones.
+  const auto noted = [&](const std::string& text) {
+    nlohmann::json notes = nlohmann::json::parse(kept);
+    notes["libero_files"] = text;
+    EXPECT_TRUE(WriteFileAtomically(provenance, notes.dump()).ok());
+    return LiberoFilesNote(*LoadRun(run_.path()));
+  };
+  EXPECT_EQ(noted("as published"), "");
+  EXPECT_EQ(noted("2 of 300 differ"),
+            "Not played on LIBERO as it was published. 1 unit: 2 of 300 differ.");
 }
 
 TEST_F(KeptScenario, ACopyThatIsNotWhatWasPlayedIsDamage) {

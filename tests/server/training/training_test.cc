@@ -5,6 +5,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <map>
 
 #include "common/atomic_file.h"
 #include "common/embedded_policies.h"
@@ -545,6 +546,37 @@ TEST_F(Training, AnArmThatHoldsTargetsStaysAtTheLastOne) {
   for (int row = 1; row < 50; ++row) {
     for (int axis = 0; axis < 7; ++axis) EXPECT_FLOAT_EQ(last[7 * row + axis], 0.159f) << row;
   }
+}
+
+TEST_F(Training, AnotherTryWithOtherDataOrStrideConvertsAnew) {
+  const NanoConfig network = TrainOptions().network;
+  const std::string one = Path("one.hdf5"), other = Path("other.hdf5"), shards = Path("shards");
+  WriteLibero(one, true);
+  WriteLibero(other, false);
+  const auto prepared = [&](const std::vector<std::string>& data, int stride) {
+    EXPECT_TRUE(PrepareShards(data, network, stride, shards).ok());
+    std::map<std::string, std::string> made;  // file, and when
+    for (const auto& entry : fs::directory_iterator(shards)) {
+      const auto file = SafetensorsFile::Open(entry.path().string());
+      EXPECT_TRUE(file.ok()) << file.status();
+      made[entry.path().filename()] =
+          absl::StrCat(file->metadata().at("source"), " ", file->metadata().at("stride"), " ",
+                       fs::last_write_time(entry).time_since_epoch().count());
+    }
+    return made;
+  };
+  const auto first = prepared({one, other}, 2);
+  EXPECT_EQ(first.size(), 2u);
+  EXPECT_EQ(prepared({one, other}, 2), first) << "what is the same is kept";
+  const auto less = prepared({other}, 2);
+  ASSERT_EQ(less.size(), 1u) << "nothing of the try before is trained on";
+  EXPECT_THAT(less.at("000_other.safetensors"), HasSubstr("other.hdf5 2 "));
+  EXPECT_THAT(prepared({other}, 3).at("000_other.safetensors"), HasSubstr("other.hdf5 3 "));
+  fs::copy(one, other, fs::copy_options::overwrite_existing);
+  const auto changed = prepared({other}, 3);
+  EXPECT_TRUE(SafetensorsFile::Open(shards + "/000_other.safetensors")->tensors().contains("aux"))
+      << "other.hdf5 holds something else now";
+  fs::remove_all(shards);
 }
 
 TEST_F(Training, ReadsDemonstrationsInLiberosForm) {

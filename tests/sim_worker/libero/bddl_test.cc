@@ -7,14 +7,19 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
 #include "common/random.h"
+#include "sim_worker/libero/task_doubts.h"
 #include "tests/sim_worker/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
 constexpr char kProblem[] = R"((define (problem LIBERO_Tabletop_Manipulation)
   (:domain robosuite) ; a comment ) with a parenthesis
@@ -89,6 +94,32 @@ TEST(BddlTest, ErrorsNameFileLineAndToken) {
               HasSubstr("task.bddl: 100000 bytes, a BDDL file has at most 65536"));
 }
 
+TEST(BddlTest, WhatLiberoSkipsWithoutAWordIsDoubtful) {
+  const auto doubts = [](const std::string& init) {
+    const std::string all = "(On wooden_cabinet_1 main_table_top_region) " + init;
+    return DoubtsOf(*ParseBddl("task.bddl", With("(On plate_1 main_table_plate_region)", all)));
+  };
+  const std::string named = "'main_table_top_region' is neither an object nor a region";
+  EXPECT_THAT(doubts("(On plate_1 main_table_plate_region)"),
+              ElementsAre(AllOf(HasSubstr("task.bddl:11: "), HasSubstr(named)),
+                          AllOf(HasSubstr("fixture 'wooden_cabinet_1' is placed by no"),
+                                HasSubstr("world's origin"))));
+  EXPECT_THAT(doubts("(Onto plate_1 main_table_plate_region)"),
+              Contains(HasSubstr("'onto' is skipped, it is none of close, in, on, open")));
+  EXPECT_THAT(
+      DoubtsOf(*ParseBddl("task.bddl", With("(On plate_1 main_table_plate_region)",
+                                            "(On wooden_cabinet_1 main_table_plate_region)"))),
+      IsEmpty());
+}
+
+TEST(BddlTest, AnEditorsMarkAtTheBeginningIsNoPartOfIt) {
+  const std::string file = ::testing::TempDir() + "/marked.bddl";
+  ASSERT_TRUE(WriteFileAtomically(file, absl::StrCat("\xEF\xBB\xBF", kProblem)).ok());
+  const absl::StatusOr<BddlProblem> problem = ReadBddl(file);
+  ASSERT_TRUE(problem.ok()) << problem.status();
+  EXPECT_EQ(problem->objects.size(), 2u);
+}
+
 TEST(BddlTest, SurvivesDamagedFiles) {
   RandomStream random(StreamKey("bddl damage"));
   int parsed = 0;
@@ -115,7 +146,8 @@ TEST(BddlTest, ReadsEveryTaskOfTheFourSuites) {
        std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/bddl_files")) {
     if (entry.path().extension() != ".bddl") continue;
     const absl::StatusOr<BddlProblem> problem = ReadBddl(entry.path());
-    EXPECT_TRUE(problem.ok()) << problem.status();
+    ASSERT_TRUE(problem.ok()) << problem.status();
+    EXPECT_THAT(DoubtsOf(*problem), IsEmpty());
     ++files;
   }
   EXPECT_EQ(files, 40);

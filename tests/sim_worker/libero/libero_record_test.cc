@@ -21,6 +21,7 @@
 namespace robostress::libero {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 namespace fs = std::filesystem;
 
@@ -178,6 +179,32 @@ TEST(LiberoRecord, ATaskWithoutRoomTakesNothingFromTheOthers) {
   EXPECT_THAT(output, HasSubstr("task 0: none of the draws 1000 to 1001"));
   EXPECT_FALSE(fs::exists(folder / "out/tasks_task00_expert_1000.safetensors"));
   EXPECT_TRUE(fs::exists(folder / "out/tasks_task01_expert_1000.safetensors")) << output;
+}
+
+// Settings of `record` that leave the file's name as it is.
+TEST(LiberoRecord, AFileOfOtherSettingsIsNotWrittenOver) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const fs::path folder = fs::path(::testing::TempDir()) / "libero_record_settings";
+  fs::remove_all(folder);
+  const auto record = [&](const std::string& more) {
+    return RunProgram(
+        ROBOSTRESS_RECORD,
+        absl::StrCat("--suite libero_object --tasks 0 --episodes 1 --plain-pictures ",
+                     "--image-size 16 --libero-root ", LiberoTree(), " --robosuite-root ",
+                     RobosuiteTree(), " --out ", folder.string(), " ", more));
+  };
+  for (const std::string form : {"shards", "hdf5"}) {
+    const auto [output, code] = record("--format " + form);
+    if (absl::StrContains(output, "EGL")) GTEST_SKIP() << output;
+    ASSERT_EQ(code, 0) << output;
+    const auto [refused, refusal] = record("--scenario aged_joint_uniform --format " + form);
+    EXPECT_EQ(refusal, 1) << refused;
+    EXPECT_THAT(refused, AllOf(HasSubstr("was recorded with {\"scenario\":\"clean\""),
+                               HasSubstr("give another --out or --tag, or remove it")));
+  }
+  const auto [both, code] = record("--libero-tasks " + folder.string());
+  EXPECT_EQ(code, 2) << both;
+  EXPECT_THAT(record("--tasks 12").first, HasSubstr("task 12 of libero_object does not exist"));
 }
 
 }  // namespace

@@ -19,6 +19,7 @@ namespace fs = std::filesystem;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::StartsWith;
 
 constexpr char kNeeded[] = LIBERO_SOURCES "/needed_files.sha256";
 
@@ -76,6 +77,22 @@ TEST_F(LiberoSetup, FindsThePartsWherePipPutsThemAndLinksThemAsOneCheckout) {
   fs::remove_all(folder_ / "site");
   EXPECT_THAT(std::string(FindLibero("", "").status().message()),
               HasSubstr("what `robostress libero setup` linked is gone"));
+}
+
+TEST_F(LiberoSetup, ANoteTellsWhetherFilesAreThoseThatWerePublished) {
+  MakeSite("site", "libero/libero/assets");
+  const LiberoPaths paths = {(folder_ / "site/libero/libero").string(),
+                             (folder_ / "site/robosuite/models/assets").string()};
+  EXPECT_EQ(FilesNote(paths, Needed()), "as published");
+  Write("site/libero/libero/assets/scenes/a.xml", "changed");
+  const std::string changed = FilesNote(paths, Needed());
+  EXPECT_THAT(changed,
+              StartsWith("1 of 4 files that LIBERO's tasks read are missing or not those "
+                         "that were published, such as libero/libero/assets/scenes/a.xml"));
+  fs::remove(folder_ / "site/robosuite/models/assets/base.xml");
+  EXPECT_THAT(FilesNote(paths, Needed()), StartsWith("2 of 4 "));
+  Write("site/libero/libero/assets/scenes/a.xml", "changed again");
+  EXPECT_NE(FilesNote(paths, Needed()), changed);
 }
 
 TEST_F(LiberoSetup, TakesTheMostCompleteOfSeveralAndSaysWhatItLacks) {

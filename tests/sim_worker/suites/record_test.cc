@@ -261,7 +261,7 @@ TEST(Shard, NamesTheExecutionNoiseOnlyWhereThereIsSome) {
   episode.execution_sigma = 0.03;
   const std::string path = ::testing::TempDir() + "/noise_shard_test.safetensors";
   for (const double noise : {0.0, 0.05}) {
-    Shard shard("tabletop_goal", 4, "turn on the stove", noise);
+    Shard shard("tabletop_goal", 4, "turn on the stove", "{}", noise);
     shard.Add(1000, episode);
     ASSERT_TRUE(shard.Write(path).ok());
     const absl::StatusOr<SafetensorsFile> file = SafetensorsFile::Open(path);
@@ -287,7 +287,7 @@ TEST(Shard, ReadsBackWithTheShapesThatTrainingExpects) {
     frame.actions(1, 6) = 7;
     episode.frames.push_back(frame);
   }
-  Shard shard("tabletop_goal", 4, "turn on the stove", /*execution_noise=*/0);
+  Shard shard("tabletop_goal", 4, "turn on the stove", "{}", /*execution_noise=*/0);
   shard.Add(1000, episode);
   shard.Add(1001, episode);
   const std::string path = ::testing::TempDir() + "/shard_test.safetensors";
