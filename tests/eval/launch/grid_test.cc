@@ -7,6 +7,7 @@
 #include "adapter/methods.h"
 #include "common/config.h"
 #include "eval/launch/cost_estimate.h"
+#include "eval/launch/merged_sweep.h"
 #include "eval/launch/progress.h"
 #include "eval/plan/unit_filter.h"
 #include "eval/plan/unit_text.h"
@@ -39,6 +40,22 @@ SweepGrid ManyKinds() {
   grid.seeds = {0, 7};
   grid.overrides = {"method.rank=2", "sim.settle_steps=4"};
   return grid;
+}
+
+TEST(AnnouncePlan, TellsOfThePicturesThatThePolicyOfLiberosSuitesLearnedFrom) {
+  const auto said = [](std::vector<std::string> overrides, const std::string& suite) {
+    SweepGrid grid;
+    grid.libero_root = grid.robosuite_root = "somewhere";
+    grid.suites = {suite};
+    grid.overrides = std::move(overrides);
+    testing::internal::CaptureStderr();
+    AnnouncePlan("sweep", Units(grid), LaunchOptions());
+    return testing::internal::GetCapturedStderr();
+  };
+  const std::string hint = "with --set sim.pictures=plain an episode takes a seventh of the time";
+  EXPECT_THAT(said({}, "libero_goal"), AllOf(HasSubstr("sweep: 8 units"), HasSubstr(hint)));
+  EXPECT_THAT(said({"sim.pictures=plain"}, "libero_goal"), Not(HasSubstr(hint)));
+  EXPECT_THAT(said({}, "tabletop_goal"), Not(HasSubstr(hint)));
 }
 
 TEST(UnitText, IsWhatDumpConfigWrites) {
