@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <set>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -188,6 +189,11 @@ void CheckStepLimits(const SweepGrid& grid, Complaints& complaints) {
   }
 }
 
+bool NeedsLibero(const std::string& suite) {
+  const SuiteInfo* info = FindSuite(suite);
+  return info != nullptr && info->needs_libero;
+}
+
 void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
   for (const int severity : grid.severities) {
     if (severity < 1 || severity > 5)
@@ -220,6 +226,12 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
           "and --robosuite-root DIR, or set LIBERO_ROOT and ROBOSUITE_ROOT"));
     }
   }
+  if (grid.libero_fixtures != SweepGrid().libero_fixtures && !grid.suites.empty() &&
+      std::none_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
+    complaints.Add(absl::StrCat("libero_fixtures ", grid.libero_fixtures,
+                                " is of LIBERO's scenes, and none of the suites has them; leave it "
+                                "out"));
+  }
   if (const auto fixtures = ParseLiberoFixtures(grid.libero_fixtures); !fixtures.ok())
     complaints.Add(std::string(fixtures.status().message()));
 }
@@ -233,11 +245,6 @@ absl::Status CheckOverride(const std::string& assignment, UnitConfig& scratch) {
       "override '", assignment,
       "' must be sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE, remote.KEY=VALUE or "
       "latency.KEY=VALUE"));
-}
-
-bool NeedsLibero(const std::string& suite) {
-  const SuiteInfo* info = FindSuite(suite);
-  return info != nullptr && info->needs_libero;
 }
 
 void CheckOverrides(const SweepGrid& grid, Complaints& complaints) {
@@ -307,6 +314,10 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
       complaints.Add(absl::StrCat("libero_tasks: ", suite.status().message()));
     else if (own_suites)
       grid.suites.push_back(*suite);
+    else if (!absl::c_linear_search(grid.suites, *suite))
+      complaints.Add(absl::StrCat("libero_tasks ", folder, " is suite '", *suite,
+                                  "', which is not among the suites given; add it, or give one of "
+                                  "the two"));
   }
   if (grid.suites.empty()) grid.suites = robot.suites;
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);

@@ -27,7 +27,6 @@ std::vector<std::string> DoubtsOf(const BddlProblem& problem) {
   for (const BddlRegion& region : problem.regions) names.insert(region.name);
   for (const BddlAtom& atom : problem.init) {
     const std::string place = absl::StrCat(problem.file, ":", atom.line, ": ");
-    const bool placing = atom.predicate == "on" && atom.arguments.size() == 2;
     if (!predicates.contains(atom.predicate)) {
       doubts.push_back(absl::StrCat(place, "'", atom.predicate, "' is skipped, it is none of ",
                                     absl::StrJoin(predicates, ", ")));
@@ -38,12 +37,14 @@ std::vector<std::string> DoubtsOf(const BddlProblem& problem) {
             absl::StrCat(place, "'", name, "' is neither an object nor a region of the file"));
       }
     }
-    if (placing && names.contains(atom.arguments[1])) unplaced.erase(atom.arguments[0]);
+    if (atom.predicate != "on" || atom.arguments.size() != 2) continue;
+    const BddlRegion* region = problem.FindRegion(atom.arguments[1]);
+    if (region != nullptr && !region->ranges.empty()) unplaced.erase(atom.arguments[0]);
   }
   for (const auto& [fixture, line] : unplaced) {
-    doubts.push_back(absl::StrCat(problem.file, ":", line, ": fixture '", fixture,
-                                  "' is placed by no (On ", fixture,
-                                  " REGION) of :init and stands at the world's origin"));
+    doubts.push_back(
+        absl::StrCat(problem.file, ":", line, ": fixture '", fixture, "' is placed by no (On ",
+                     fixture, " REGION WITH RANGES) of :init and stands at the world's origin"));
   }
   return doubts;
 }

@@ -53,7 +53,7 @@ TEST(AnnouncePlan, TellsOfThePicturesThatThePolicyOfLiberosSuitesLearnedFrom) {
     return testing::internal::GetCapturedStderr();
   };
   const std::string hint = "with --set sim.pictures=plain an episode takes a seventh of the time";
-  EXPECT_THAT(said({}, "libero_goal"), AllOf(HasSubstr("sweep: 8 units"), HasSubstr(hint)));
+  EXPECT_THAT(said({}, "libero_goal"), AllOf(HasSubstr("sweep: 16 units"), HasSubstr(hint)));
   EXPECT_THAT(said({"sim.pictures=plain"}, "libero_goal"), Not(HasSubstr(hint)));
   EXPECT_THAT(said({}, "tabletop_goal"), Not(HasSubstr(hint)));
 }

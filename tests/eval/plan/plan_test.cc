@@ -265,6 +265,8 @@ TEST(Plan, LiberosSuitesHaveAPolicyOfTheirOwn) {
 TEST(Plan, LiberoFixturesReachEveryUnitAndAreChecked) {
   SweepGrid grid;
   for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.libero_fixtures, "centred");
+  grid.suites = {"libero_goal"};
+  grid.libero_root = grid.robosuite_root = "somewhere";
   grid.libero_fixtures = "numpy:3";
   for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.libero_fixtures, "numpy:3");
   grid.libero_fixtures = "centre";
@@ -320,6 +322,16 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   units = Plan(grid);
   ASSERT_EQ(units.size(), 2u);
   EXPECT_EQ(units[0].config.libero_tasks, "");
+  SweepGrid both = grid;
+  both.suites = {"libero_goal"};
+  EXPECT_THAT(std::string(ResolveGrid(both).status().message()),
+              HasSubstr("which is not among the suites given; add it, or give one of the two"));
+  both.suites = {"libero_goal", folder.filename().string()};
+  EXPECT_TRUE(ResolveGrid(both).ok()) << "as a run's sweep.yaml has them";
+  SweepGrid embedded;
+  embedded.libero_fixtures = "sampled";
+  EXPECT_THAT(std::string(ResolveGrid(embedded).status().message()),
+              HasSubstr("libero_fixtures sampled is of LIBERO's scenes, and none of the suites"));
   grid.libero_tasks = {folder.string() + "_not"};
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("libero_tasks: "));
   grid.suites = {"libero_goal_mine_not"};
