@@ -24,6 +24,7 @@ static_assert(std::endian::native == std::endian::little, "the stored float64 ar
 constexpr int64_t kMaxValues = int64_t{1} << 22;      // LIBERO's largest matrix has 12 thousand
 constexpr size_t kMaxBytes = kMaxValues * 16 + 4096;  // two bytes of UTF-8 per stored byte
 constexpr int kMaxOpcodes = 256;                      // LIBERO's pickles have about 50
+constexpr double kMostValue = 1e6;                    // LIBERO's largest is below 100
 
 absl::Status Bad(const std::string& file, const std::string& what) {
   return absl::InvalidArgumentError(absl::StrCat(
@@ -399,9 +400,10 @@ absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_
   states.values.resize(static_cast<size_t>(array.rows * array.columns));
   std::memcpy(states.values.data(), array.data.data(), array.data.size());
   for (size_t i = 0; i < states.values.size(); ++i) {
-    if (!std::isfinite(states.values[i])) {
+    if (!(std::abs(states.values[i]) <= kMostValue)) {
       return Bad(file, absl::StrCat("row ", i / states.columns, ", column ", i % states.columns,
-                                    " is not finite"));
+                                    " is ", states.values[i], ", must be -", kMostValue, " to ",
+                                    kMostValue, " (s, m, rad and their rates)"));
     }
   }
   return states;

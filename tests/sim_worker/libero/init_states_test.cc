@@ -119,7 +119,7 @@ TEST(InitStatesTest, ErrorsNameFileAndPlace) {
   flipped[100] ^= 1;
   EXPECT_THAT(ErrorOf(flipped), HasSubstr("checksum"));
   EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle({0, NAN, 0, 0, 0, 0}, 2, 3))),
-              HasSubstr("row 0, column 1 is not finite"));
+              HasSubstr("row 0, column 1 is nan, must be -1e+06 to 1e+06"));
 }
 
 TEST(InitStatesTest, ARowOfTheWrongLengthNamesFileAndSizes) {
