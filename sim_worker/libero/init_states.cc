@@ -24,7 +24,7 @@ static_assert(std::endian::native == std::endian::little, "the stored float64 ar
 constexpr int64_t kMaxValues = int64_t{1} << 22;      // LIBERO's largest matrix has 12 thousand
 constexpr size_t kMaxBytes = kMaxValues * 16 + 4096;  // two bytes of UTF-8 per stored byte
 constexpr int kMaxOpcodes = 256;                      // LIBERO's pickles have about 50
-constexpr double kMostValue = 1e6;                    // LIBERO's largest is below 100
+constexpr double kMostValue = 1e6;                    // LIBERO's largest is below 3
 
 absl::Status Bad(const std::string& file, const std::string& what) {
   return absl::InvalidArgumentError(absl::StrCat(
