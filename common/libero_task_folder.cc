@@ -7,10 +7,8 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/libero_home.h"
 #include "common/plain_line.h"
 #include "common/status_macros.h"
-#include "common/suites.h"
 
 namespace robostress {
 namespace {
@@ -75,17 +73,6 @@ std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& t
       const fs::path file = place / absl::StrCat(task, ending);
       if (fs::is_regular_file(file, ignored)) return file.string();
     }
-  }
-  return "";
-}
-
-std::string LiberosOwnFolder(const std::string& libero_root, const std::string& suite) {
-  if (!IsLiberosOwn(suite)) return "";
-  const std::string root = LiberoRoot(libero_root, "LIBERO_ROOT");
-  for (const char* inside : {"/libero/libero", "/libero", ""}) {
-    const std::string folder = absl::StrCat(root, inside, "/bddl_files/", suite);
-    std::error_code ignored;
-    if (!root.empty() && fs::is_directory(folder, ignored)) return folder;
   }
   return "";
 }

@@ -27,10 +27,6 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
 // Empty: nowhere.
 std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& task);
 
-// The folder of the tasks of one of LIBERO's own four suites; `libero_root` as a unit has it.
-// Empty: another suite, or not found.
-std::string LiberosOwnFolder(const std::string& libero_root, const std::string& suite);
-
 // SHA-256, hex, of its tasks and their initial states: what two runs in it have to have in common.
 absl::StatusOr<std::string> LiberoTasksSha256(const std::string& folder);
 

@@ -11,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/libero_fixtures.h"
+#include "common/libero_own_tasks.h"
 #include "common/libero_task_folder.h"
 #include "common/records/json_record.h"
 #include "common/records/server_row.h"
@@ -62,11 +63,11 @@ class UnitRun {
     if (IsScenarioFile(unit_.scenario)) {
       RS_ASSIGN_OR_RETURN(notes[kScenarioSha256], Sha256OfFile(unit_.scenario));
     }
-    const std::string tasks = unit_.libero_tasks.empty()
-                                  ? LiberosOwnFolder(unit_.libero_root, unit_.suite)
-                                  : unit_.libero_tasks;
-    if (!tasks.empty()) {
-      RS_ASSIGN_OR_RETURN(notes[kLiberoTasksSha256], LiberoTasksSha256(tasks));
+    const std::string own = LiberosOwnFolder(unit_.libero_root, unit_.suite);
+    if (!unit_.libero_tasks.empty()) {
+      RS_ASSIGN_OR_RETURN(notes[kLiberoTasksSha256], LiberoTasksSha256(unit_.libero_tasks));
+    } else if (!own.empty()) {
+      notes[kLiberoTasksSha256] = LiberosOwnSha256(own);
     }
     RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit_.libero_fixtures));
     if (!fixtures.table.empty()) {

@@ -82,7 +82,11 @@ class Declarations {
     if (methods_.count(config.method->method) == 0)
       methods_.emplace(config.method->method, DumpConfig(*config.method));
     const UnitResult& first = *suites_.emplace(config.suite, &unit).first->second;
-    if (&first == &unit) protocols_.emplace(config.suite, ProtocolOf(config));
+    const FlatOptions protocol = ProtocolOf(config);
+    FlatOptions& said = protocols_.emplace(config.suite, protocol).first->second;
+    // Of units that an earlier version began nobody noted what LIBERO's own tasks were.
+    if (const auto tasks = protocol.find("libero_tasks"); tasks != protocol.end())
+      said.insert(*tasks);
     // The file says once for a suite which episodes its results are of.
     if (first.config.tasks != config.tasks || first.config.episodes != config.episodes ||
         first.config.first_initial_state != config.first_initial_state) {

@@ -129,6 +129,9 @@ std::vector<std::string> ChangedLines(UnitConfig first, UnitConfig second) {
     config->scenario = ScenarioLabel(config->scenario);  // where a file lies is nothing
     config->policy = PolicyLabel(config->policy);
   }
+  // Earlier versions did not note what LIBERO's own tasks were.
+  if (first.libero_tasks.empty() || second.libero_tasks.empty())
+    first.libero_tasks.clear(), second.libero_tasks.clear();
   const std::vector<std::string> a = absl::StrSplit(DumpConfig(first), '\n'),
                                  b = absl::StrSplit(DumpConfig(second), '\n');
   std::vector<std::string> changes;

@@ -15,6 +15,7 @@
 #include "common/joint_errors/scenario_file.h"
 #include "common/json_text.h"
 #include "common/libero_fixtures.h"
+#include "common/libero_own_tasks.h"
 #include "common/libero_task_folder.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"
@@ -54,6 +55,10 @@ std::string TaskFolderHash(const std::string& path) {
   if (absl::StartsWith(path, kPlayed)) return path;
   const absl::StatusOr<std::string> hash = LiberoTasksSha256(path);
   return hash.ok() ? absl::StrCat(kPlayed, *hash) : "that is gone";
+}
+
+std::string OwnTasksHash(const std::string& path) {
+  return absl::StrCat(kPlayed, LiberosOwnSha256(path));
 }
 
 // A unit without what ProtocolOf leaves out.
@@ -169,9 +174,12 @@ UnitConfig PresentFiles::Of(UnitConfig config) {
     if (fresh) known->second = hash(value);
     value = known->second;
   };
-  if (config.libero_tasks.empty())
+  if (!config.libero_tasks.empty()) {
+    once(config.libero_tasks, TaskFolderHash);
+  } else {
     config.libero_tasks = LiberosOwnFolder(config.libero_root, config.suite);
-  if (!config.libero_tasks.empty()) once(config.libero_tasks, TaskFolderHash);
+    if (!config.libero_tasks.empty()) once(config.libero_tasks, OwnTasksHash);
+  }
   once(config.libero_fixtures, FileOrWord);
   return config;
 }

@@ -77,6 +77,9 @@ std::string RunDirectory::KeptScenario(const std::string& scenario) const {
 
 UnitConfig RunDirectory::WithPlayedFilesOf(const std::string& id, UnitConfig config) const {
   if (!NamesFiles(config)) return config;  // one file less to read of each of thousands
+  // Before its first row a unit may yet be played with others.
+  std::error_code none;
+  if (fs::file_size(Unit(id) + "/episodes.jsonl", none) == 0 || none) return config;
   const std::string text = ReadFile(Unit(id) + "/provenance.json").value_or("");
   return WithPlayedFiles(std::move(config), nlohmann::json::parse(text, nullptr, false));
 }
@@ -112,10 +115,12 @@ absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
     for (const auto& [hash, played, named] :
          {std::tie(now.libero_tasks, then.libero_tasks, unit.config.libero_tasks),
           std::tie(now.libero_fixtures, then.libero_fixtures, unit.config.libero_fixtures)}) {
-      if (hash == played || !changed.insert(named).second) continue;
-      complaints.push_back(absl::StrCat(
-          named.empty() ? "LIBERO's " + unit.config.suite : named, " has changed since ",
-          Unit(unit.id), " was played with it; restore it, or choose another --out"));
+      // Empty: LIBERO's own tasks, on a machine that has them not.
+      const std::string label = named.empty() ? "LIBERO's " + unit.config.suite : named;
+      if (hash.empty() || hash == played || !changed.insert(label).second) continue;
+      complaints.push_back(
+          absl::StrCat(label, " has changed since ", Unit(unit.id),
+                       " was played with it; restore it, or choose another --out"));
     }
     const std::string file = PlanFile(unit.id);
     const absl::StatusOr<std::string> present = ReadFile(file);

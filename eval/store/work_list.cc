@@ -12,8 +12,10 @@
 #include "absl/strings/str_split.h"
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
+#include "common/unit/unit_directory.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -69,6 +71,26 @@ absl::StatusOr<std::string> Concatenated(const RunDirectory& run,
   return text;
 }
 
+// What machines say of LIBERO's files is a note: parts may differ in it, and one that says that
+// something is otherwise stands for all.
+absl::StatusOr<std::string> JoinedProvenance(const RunDirectory& run,
+                                             const std::vector<WorkItem>& parts) {
+  nlohmann::json joined;
+  std::string note;
+  for (const WorkItem& part : parts) {
+    RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(part.Folder(run) + "/provenance.json"));
+    nlohmann::json provenance = nlohmann::json::parse(text, nullptr, false);
+    const std::string said = TextAt(provenance, kLiberoFiles);
+    if (!said.empty() && (note.empty() || note == kLiberoFilesPublished)) note = said;
+    if (provenance.is_object()) provenance.erase(kLiberoFiles);
+    if (joined.is_null()) joined = provenance;
+    if (!provenance.is_object() || provenance != joined)
+      return Common(run, parts, "/provenance.json");  // and its error
+  }
+  if (!note.empty()) joined[kLiberoFiles] = note;
+  return joined.dump() + "\n";
+}
+
 // Distinct lines of a file that parts may have.
 std::string Lines(const RunDirectory& run, const std::vector<WorkItem>& parts, const char* name) {
   std::set<std::string> lines;
@@ -113,7 +135,7 @@ absl::Status WriteJoined(const RunDirectory& run, const std::vector<WorkItem>& p
   RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/config.yaml", config));
   std::error_code error;
   if (fs::exists(parts[0].Folder(run) + "/provenance.json", error)) {
-    RS_ASSIGN_OR_RETURN(const std::string provenance, Common(run, parts, "/provenance.json"));
+    RS_ASSIGN_OR_RETURN(const std::string provenance, JoinedProvenance(run, parts));
     RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/provenance.json", provenance));
   }
   RS_ASSIGN_OR_RETURN(const std::string timing, Concatenated(run, parts, "/timing.jsonl"));

@@ -48,11 +48,22 @@ def _plain(value: Any) -> Any:
     raise InvalidArgument(f"rig or log has a {type(value).__name__} {value!r}, must be numbers, text, lists and maps")
 
 
+def _ours(rig: pathlib.Path) -> bool:
+    if not rig.is_file():
+        return False
+    text = rig.read_text(errors="replace")
+    if text.startswith(OURS):
+        return True
+    try:  # as 0.2.0 wrote it
+        return [log["file"] for log in json.loads(text)["logs"]][:1] == ["log_0.csv"]
+    except (ValueError, TypeError, KeyError):
+        return False
+
+
 def _write(folder: pathlib.Path, files: Mapping[str, str]) -> None:
     """Not over somebody else's files."""
-    rig = folder / "rig.yaml"
     taken = [name for name in files if (folder / name).exists()]
-    if taken and not (rig.is_file() and rig.read_text(errors="replace").startswith(OURS)):
+    if taken and not _ours(folder / "rig.yaml"):
         raise InvalidArgument(f"{folder / taken[0]} is there already and was not written by robostress.calibrate: give another "
                               "folder as out")
     folder.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import inspect
+import ssl
 import threading
 from typing import Any, Dict, Mapping, Optional
 
@@ -12,6 +13,10 @@ from robostress._library import NotFound, RobostressError
 
 class ServerError(RobostressError):
     """What the server refused, in its words, or that it is gone; the connection is over."""
+
+
+class NotThere(ServerError, ConnectionError):
+    """Nobody answers at the address."""
 
 
 class NoAnswer(ServerError, TimeoutError):
@@ -71,8 +76,10 @@ class PolicyClient:
         try:
             self._socket = connect(uri, compression=None, max_size=None, additional_headers=headers,
                                    open_timeout=open_timeout, close_timeout=1, **more)
+        except ssl.SSLError as fault:
+            raise ServerError(f"{uri}: {fault}; give ws:// to a server without TLS, or trust its certificate") from fault
         except OSError as fault:
-            raise ServerError(f"no policy server answers at {uri} ({fault}): start it, or give its address") from fault
+            raise NotThere(f"no policy server answers at {uri} ({fault}): start it, or give its address") from fault
         except WebSocketException as fault:
             raise ServerError(f"{uri}: {fault}; give ws://HOST:PORT of a policy server, and its token if it asks for one"
                               ) from fault

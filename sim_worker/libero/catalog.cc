@@ -7,61 +7,13 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "common/libero_home.h"
+#include "common/libero_own_tasks.h"
 #include "common/status_macros.h"
 
 namespace robostress::libero {
 namespace {
 
 namespace fs = std::filesystem;
-
-struct SuiteTasks {
-  std::string_view suite;
-  std::array<std::string_view, 10> tasks;
-};
-
-constexpr SuiteTasks kSuites[] = {
-    {"libero_spatial",
-     {"pick_up_the_black_bowl_between_the_plate_and_the_ramekin_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_next_to_the_ramekin_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_from_table_center_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_on_the_cookie_box_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_in_the_top_drawer_of_the_wooden_cabinet_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_on_the_ramekin_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_next_to_the_cookie_box_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_on_the_stove_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_next_to_the_plate_and_place_it_on_the_plate",
-      "pick_up_the_black_bowl_on_the_wooden_cabinet_and_place_it_on_the_plate"}},
-    {"libero_object",
-     {"pick_up_the_alphabet_soup_and_place_it_in_the_basket",
-      "pick_up_the_cream_cheese_and_place_it_in_the_basket",
-      "pick_up_the_salad_dressing_and_place_it_in_the_basket",
-      "pick_up_the_bbq_sauce_and_place_it_in_the_basket",
-      "pick_up_the_ketchup_and_place_it_in_the_basket",
-      "pick_up_the_tomato_sauce_and_place_it_in_the_basket",
-      "pick_up_the_butter_and_place_it_in_the_basket",
-      "pick_up_the_milk_and_place_it_in_the_basket",
-      "pick_up_the_chocolate_pudding_and_place_it_in_the_basket",
-      "pick_up_the_orange_juice_and_place_it_in_the_basket"}},
-    {"libero_goal",
-     {"open_the_middle_drawer_of_the_cabinet", "put_the_bowl_on_the_stove",
-      "put_the_wine_bottle_on_top_of_the_cabinet", "open_the_top_drawer_and_put_the_bowl_inside",
-      "put_the_bowl_on_top_of_the_cabinet", "push_the_plate_to_the_front_of_the_stove",
-      "put_the_cream_cheese_in_the_bowl", "turn_on_the_stove", "put_the_bowl_on_the_plate",
-      "put_the_wine_bottle_on_the_rack"}},
-    {"libero_10",
-     {"LIVING_ROOM_SCENE2_put_both_the_alphabet_soup_and_the_tomato_sauce_in_the_basket",
-      "LIVING_ROOM_SCENE2_put_both_the_cream_cheese_box_and_the_butter_in_the_basket",
-      "KITCHEN_SCENE3_turn_on_the_stove_and_put_the_moka_pot_on_it",
-      "KITCHEN_SCENE4_put_the_black_bowl_in_the_bottom_drawer_of_the_cabinet_and_close_it",
-      "LIVING_ROOM_SCENE5_put_the_white_mug_on_the_left_plate_and_put_the_yellow_and_white_mug_on_"
-      "the_right_plate",
-      "STUDY_SCENE1_pick_up_the_book_and_place_it_in_the_back_compartment_of_the_caddy",
-      "LIVING_ROOM_SCENE6_put_the_white_mug_on_the_plate_and_put_the_chocolate_pudding_to_the_"
-      "right_of_the_plate",
-      "LIVING_ROOM_SCENE1_put_both_the_alphabet_soup_and_the_cream_cheese_box_in_the_basket",
-      "KITCHEN_SCENE8_put_both_moka_pots_on_the_stove",
-      "KITCHEN_SCENE6_put_the_yellow_and_white_mug_in_the_microwave_and_close_it"}},
-};
 
 constexpr std::array<double, 3> kDefaultFriction = {1, 0.005, 0.0001};
 constexpr std::array<double, 4> kAgentQuat = {0.6380177736282349, 0.3048497438430786,
@@ -304,12 +256,12 @@ absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
 
 std::vector<std::string> LiberoSuites() {
   std::vector<std::string> names;
-  for (const SuiteTasks& entry : kSuites) names.emplace_back(entry.suite);
+  for (const LiberosOwnSuite& entry : LiberosOwnSuites()) names.emplace_back(entry.suite);
   return names;
 }
 
 absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite) {
-  for (const SuiteTasks& entry : kSuites) {
+  for (const LiberosOwnSuite& entry : LiberosOwnSuites()) {
     if (entry.suite == suite)
       return std::vector<std::string>(entry.tasks.begin(), entry.tasks.end());
   }

@@ -83,7 +83,7 @@ absl::Status RunReplay(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<LiberoSimTask> task,
                       LiberoSimTask::Create(unit, line.task));
   RS_ASSIGN_OR_RETURN(const Recording recording, ReadRecording(file, *task));
-  if (line.settle_steps >= recording.steps()) {
+  if (line.settle_steps >= recording.steps() && unit.scenario != "clean") {
     return absl::InvalidArgumentError(absl::StrCat("--settle-steps ", line.settle_steps,
                                                    " leaves none of the ", recording.steps(),
                                                    " actions of ", line.in, " to the scenario"));

@@ -153,7 +153,7 @@ int ExitCode(const absl::Status& status) {
 // which the first task says.
 std::string LiberoFiles(const UnitConfig& unit) {
   const SuiteInfo* suite = FindSuite(unit.suite);
-  if (suite == nullptr || !suite->needs_libero) return "";
+  if (unit.libero_tasks.empty() && (suite == nullptr || !suite->needs_libero)) return "";
   const auto needed = libero::ReadNeededFiles(DataPath(libero::kNeededFiles));
   const auto paths = libero::FindLibero(unit.libero_root, unit.robosuite_root);
   return needed.ok() && paths.ok() ? libero::FilesNote(*paths, *needed) : "";

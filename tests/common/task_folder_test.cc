@@ -5,6 +5,7 @@
 
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
+#include "common/libero_own_tasks.h"
 #include "common/libero_protocols.h"
 #include "common/libero_task_folder.h"
 #include "common/suites.h"
@@ -60,6 +61,7 @@ TEST(TaskFolder, NamesThatNoTableCanShowAreRefused) {
 }
 
 TEST(TaskFolder, LiberosOwnTasksLieWhereItsCheckoutOrPackageHasThem) {
+  fs::remove_all(fs::path(::testing::TempDir()) / "suites/root");
   const std::string root = Folder("root", {});
   EXPECT_EQ(LiberosOwnFolder(root, "libero_goal"), "");
   for (const std::string inside : {"", "/libero", "/libero/libero"}) {
@@ -68,6 +70,17 @@ TEST(TaskFolder, LiberosOwnTasksLieWhereItsCheckoutOrPackageHasThem) {
   }
   EXPECT_EQ(LiberosOwnFolder(root, "libero_10"), "");
   EXPECT_EQ(LiberosOwnFolder(root, "tabletop_goal"), "");
+  // What is played counts, and nothing beside it.
+  const std::string folder = LiberosOwnFolder(root, "libero_goal");
+  const std::string empty = LiberosOwnSha256(folder);
+  Folder("root/libero/libero/bddl_files/libero_goal",
+         {"my_variant.bddl", "turn_on_the_stove.pruned_init"});
+  EXPECT_EQ(LiberosOwnSha256(folder), empty);
+  Folder("root/libero/libero/bddl_files/libero_goal", {"turn_on_the_stove.bddl"});
+  const std::string task = LiberosOwnSha256(folder);
+  EXPECT_NE(task, empty);
+  Folder("root/libero/libero/init_files/libero_goal", {"turn_on_the_stove.pruned_init"});
+  EXPECT_NE(LiberosOwnSha256(folder), task);
 }
 
 TEST(TaskFolder, AVariantHasTheHorizonAndTheLimitsOfItsSuite) {

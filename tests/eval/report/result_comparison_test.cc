@@ -74,6 +74,12 @@ TEST(CompareResults, AnswersToRepeatsByTheirDesignEffect) {
       << "the same outcomes again add nothing";
 }
 
+TEST(CompareResults, ATaskFileThatAnEarlierVersionDidNotNoteIsNoOther) {
+  RunData other = Lab(20, 2);
+  for (UnitResult& unit : other.units) unit.config.libero_tasks = "sha256 5a5a";
+  EXPECT_EQ(Refused(other), "");
+}
+
 TEST(CompareResults, RefusesByNameWhatIsNotComparable) {
   RunData other = Lab(20, 2);
   for (UnitResult& unit : other.units) unit.config.severity = 3;

@@ -153,12 +153,18 @@ TEST_F(KeptTasks, TheWorkerRefusesOtherTasksToo) {
               HasSubstr("was begun with LIBERO tasks whose SHA-256 begins "));
 }
 
+TEST_F(KeptTasks, AUnitThatPlayedNothingYetIsPlayedInWhatIsThereNow) {
+  EXPECT_FALSE(Play(0).ok());
+  Write(name_ + "/put_it_there.bddl", "(define (problem second))");
+  EXPECT_TRUE(Play(3).ok());
+}
+
 // LIBERO's own suites lie somewhere, too, and may have been edited there.
 class KeptLibero : public KeptScenario {
  protected:
   void SetUp() override {
     fs::create_directories(tasks_);
-    Write("root/bddl_files/libero_goal/put_it_there.bddl", "(define (problem first))");
+    Write("root/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem first))");
     SweepGrid grid;
     grid.libero_root = grid.robosuite_root = folder_ + "/root";
     grid.suites = {"libero_goal"};
@@ -177,7 +183,10 @@ TEST_F(KeptLibero, OtherTasksDoNotJoinThoseThatWerePlayed) {
   SweepGrid more = grid_;
   more.seeds = {0, 1};
   EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok());
-  Write("root/bddl_files/libero_goal/put_it_there.bddl", "(define (problem second))");
+  fs::rename(folder_ + "/root", folder_ + "/elsewhere");
+  EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok()) << "as on a planner without them";
+  fs::rename(folder_ + "/elsewhere", folder_ + "/root");
+  Write("root/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem second))");
   EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
               AllOf(HasSubstr("LIBERO's libero_goal has changed since "), HasSubstr("restore it")));
   more.seeds = {1};

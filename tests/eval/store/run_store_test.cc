@@ -105,6 +105,27 @@ TEST(JoinParts, MayBeDoneBySeveralProcessesAtOnce) {
   }
 }
 
+// One of the machines that played them lacked a texture.
+TEST(JoinParts, WhatMachinesSayOfLiberosFilesMayDiffer) {
+  const RunDirectory run(TestFolder());
+  ASSERT_TRUE(MakeDirectories(run.path() + "/plan").ok());
+  const auto joined = [&](int seed, const std::string& first, const std::string& second) {
+    const PlannedUnit unit = UnitInParts(run, seed);
+    for (const auto& [part, text] :
+         {std::pair{WorkItem{&unit, 0, 4, 4}, first}, {WorkItem{&unit, 4, 2, 4}, second}})
+      EXPECT_TRUE(WriteFileAtomically(part.Folder(run) + "/provenance.json", text).ok());
+    const absl::Status status = JoinParts(run, unit);
+    return status.ok() ? *ReadFile(run.Unit(unit.id) + "/provenance.json")
+                       : std::string(status.message());
+  };
+  const std::string whole = R"({"libero_files":"as published","policy":"nano"})";
+  const std::string lacks = R"({"libero_files":"1 of 300 differ","policy":"nano"})";
+  EXPECT_EQ(joined(0, whole, lacks), lacks + "\n");
+  EXPECT_EQ(joined(1, lacks, whole), lacks + "\n");
+  EXPECT_EQ(joined(2, whole, R"({"policy":"nano"})"), whole + "\n");
+  EXPECT_THAT(joined(3, whole, R"({"policy":"nano-bc"})"), HasSubstr("provenance.json"));
+}
+
 TEST(LoadRun, RefusesAFinishedUnitThatContradictsItsConfiguration) {
   const std::string run = TestFolder();
   WriteUnit(run, 0, 2, std::string(kLine) + "\n", true);

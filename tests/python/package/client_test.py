@@ -87,8 +87,9 @@ class Clients(unittest.TestCase):
             self.client().infer({"n": 0, "leave": True})
 
     def test_a_server_that_is_not_there_is_said(self):
-        with self.assertRaisesRegex(rs.RobostressError, "no policy server answers at ws://127.0.0.1:1 .*start it, or give its"):
+        with self.assertRaisesRegex(rs.RobostressError, "no policy server answers at ws://127.0.0.1:1 .*start it, or give") as told:
             rs.PolicyClient("ws://127.0.0.1:1")
+        self.assertIsInstance(told.exception, ConnectionError)
 
     def test_threads_wait_for_each_other(self):
         client, answers = self.client(), []
