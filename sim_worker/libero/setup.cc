@@ -15,7 +15,6 @@
 #include "common/atomic_file.h"
 #include "common/child_process.h"
 #include "common/status_macros.h"
-#include "common/unit/unit_directory.h"
 #include "sim_worker/libero/bddl.h"
 #include "sim_worker/libero/scene.h"
 
@@ -196,7 +195,7 @@ absl::StatusOr<std::vector<NeededFile>> ListNeededFiles(const LiberoPaths& paths
   return files;
 }
 
-std::string FilesNote(const LiberoPaths& paths, const std::vector<NeededFile>& needed) {
+std::string OtherFiles(const LiberoPaths& paths, const std::vector<NeededFile>& needed) {
   int others = 0;
   std::string first, hashes;
   for (const NeededFile& file : needed) {
@@ -210,7 +209,7 @@ std::string FilesNote(const LiberoPaths& paths, const std::vector<NeededFile>& n
     if (Known(file, hash)) continue;
     if (others++ == 0) first = file.path;
   }
-  if (others == 0) return kLiberoFilesPublished;
+  if (others == 0) return "";
   return absl::StrCat(others, " of ", needed.size(),
                       " files that LIBERO's tasks read are missing or not those that were "
                       "published, such as ",

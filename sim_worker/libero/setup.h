@@ -43,9 +43,9 @@ struct FoundPart {
   bool complete() const { return !folder.empty() && missing.empty() && different.empty(); }
 };
 
-// kLiberoFilesPublished if every file of the list is below `paths` as the list says, else a
-// sentence that counts and names those that are not.
-std::string FilesNote(const LiberoPaths& paths, const std::vector<NeededFile>& needed);
+// Empty if every file of the list is below `paths` as the list says, else a sentence that counts
+// and names those that are not.
+std::string OtherFiles(const LiberoPaths& paths, const std::vector<NeededFile>& needed);
 
 // Looks for the four parts below `roots`: site-packages, checkouts, or folders that hold assets,
 // bddl_files or init_files. Of several the one with fewest missing and different files is taken,

@@ -156,7 +156,9 @@ std::string LiberoFiles(const UnitConfig& unit) {
   if (unit.libero_tasks.empty() && (suite == nullptr || !suite->needs_libero)) return "";
   const auto needed = libero::ReadNeededFiles(DataPath(libero::kNeededFiles));
   const auto paths = libero::FindLibero(unit.libero_root, unit.robosuite_root);
-  return needed.ok() && paths.ok() ? libero::FilesNote(*paths, *needed) : "";
+  if (!needed.ok() || !paths.ok()) return "";
+  const std::string others = libero::OtherFiles(*paths, *needed);
+  return others.empty() ? kLiberoFilesPublished : others;
 }
 
 absl::Status Run(const std::string& unit_file, const std::vector<std::string>& overrides,

@@ -79,20 +79,20 @@ TEST_F(LiberoSetup, FindsThePartsWherePipPutsThemAndLinksThemAsOneCheckout) {
               HasSubstr("what `robostress libero setup` linked is gone"));
 }
 
-TEST_F(LiberoSetup, ANoteTellsWhetherFilesAreThoseThatWerePublished) {
+TEST_F(LiberoSetup, OtherFilesThanThosePublishedAreNamed) {
   MakeSite("site", "libero/libero/assets");
   const LiberoPaths paths = {(folder_ / "site/libero/libero").string(),
                              (folder_ / "site/robosuite/models/assets").string()};
-  EXPECT_EQ(FilesNote(paths, Needed()), "as published");
+  EXPECT_EQ(OtherFiles(paths, Needed()), "");
   Write("site/libero/libero/assets/scenes/a.xml", "changed");
-  const std::string changed = FilesNote(paths, Needed());
+  const std::string changed = OtherFiles(paths, Needed());
   EXPECT_THAT(changed,
               StartsWith("1 of 4 files that LIBERO's tasks read are missing or not those "
                          "that were published, such as libero/libero/assets/scenes/a.xml"));
   fs::remove(folder_ / "site/robosuite/models/assets/base.xml");
-  EXPECT_THAT(FilesNote(paths, Needed()), StartsWith("2 of 4 "));
+  EXPECT_THAT(OtherFiles(paths, Needed()), StartsWith("2 of 4 "));
   Write("site/libero/libero/assets/scenes/a.xml", "changed again");
-  EXPECT_NE(FilesNote(paths, Needed()), changed);
+  EXPECT_NE(OtherFiles(paths, Needed()), changed);
 }
 
 TEST_F(LiberoSetup, TakesTheMostCompleteOfSeveralAndSaysWhatItLacks) {
