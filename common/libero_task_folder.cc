@@ -19,9 +19,9 @@ namespace fs = std::filesystem;
 absl::Status CheckName(const std::string& name, const std::string& folder) {
   const bool utf8 = !nlohmann::json::parse("\"" + name + "\"", nullptr, false).is_discarded();
   if (utf8 && IsPlainLine(name)) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(folder, ": the name '", absl::CHexEscape(name),
-                   "' of a suite or task is not plain UTF-8 without quotes; rename it"));
+  return absl::InvalidArgumentError(absl::StrCat(
+      folder, ": the name '", absl::CHexEscape(name),
+      "' of a suite or task is not plain UTF-8 without quotes and backslashes; rename it"));
 }
 
 }  // namespace

@@ -91,6 +91,18 @@ TEST_F(KeptScenario, AnotherFileDoesNotGoOn) {
                     HasSubstr("restore it")));
 }
 
+// Three episodes of task 0, below this root of LIBERO's and robosuite's.
+SweepGrid ExpertGrid(const std::string& root) {
+  SweepGrid grid;
+  grid.libero_root = grid.robosuite_root = root;
+  grid.scenarios = {"clean"};
+  grid.methods = {"base"};
+  grid.policies = {"expert"};
+  grid.tasks = {0};
+  grid.episodes = 3;
+  return grid;
+}
+
 // The hash of a task folder is kept with what was played in it.
 class KeptTasks : public KeptScenario {
  protected:
@@ -98,14 +110,8 @@ class KeptTasks : public KeptScenario {
     fs::create_directories(tasks_);
     Write(name_ + "/put_it_there.bddl", "(define (problem first))");
     Write(name_ + "/put_it_there.pruned_init", "states");
-    SweepGrid grid;
-    grid.libero_root = grid.robosuite_root = "somewhere";
+    SweepGrid grid = ExpertGrid("somewhere");
     grid.libero_tasks = {tasks_};
-    grid.scenarios = {"clean"};
-    grid.methods = {"base"};
-    grid.policies = {"expert"};
-    grid.tasks = {0};
-    grid.episodes = 3;
     grid_ = *ResolveGrid(grid);
   }
   // A suite's name is its folder's, and there is one of a name in a process.
@@ -164,18 +170,12 @@ class KeptLibero : public KeptScenario {
  protected:
   void SetUp() override {
     fs::create_directories(tasks_);
-    Write("root/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem first))");
-    SweepGrid grid;
-    grid.libero_root = grid.robosuite_root = folder_ + "/root";
+    Write("libero/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem first))");
+    SweepGrid grid = ExpertGrid(folder_ + "/libero");
     grid.suites = {"libero_goal"};
-    grid.scenarios = {"clean"};
-    grid.methods = {"base"};
-    grid.policies = {"expert"};
-    grid.tasks = {0};
-    grid.episodes = 3;
     grid_ = *ResolveGrid(grid);
   }
-  const std::string tasks_ = folder_ + "/root/bddl_files/libero_goal";
+  const std::string tasks_ = folder_ + "/libero/bddl_files/libero_goal";
 };
 
 TEST_F(KeptLibero, OtherTasksDoNotJoinThoseThatWerePlayed) {
@@ -183,10 +183,10 @@ TEST_F(KeptLibero, OtherTasksDoNotJoinThoseThatWerePlayed) {
   SweepGrid more = grid_;
   more.seeds = {0, 1};
   EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok());
-  fs::rename(folder_ + "/root", folder_ + "/elsewhere");
+  fs::rename(folder_ + "/libero", folder_ + "/elsewhere");
   EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok()) << "as on a planner without them";
-  fs::rename(folder_ + "/elsewhere", folder_ + "/root");
-  Write("root/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem second))");
+  fs::rename(folder_ + "/elsewhere", folder_ + "/libero");
+  Write("libero/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem second))");
   EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
               AllOf(HasSubstr("LIBERO's libero_goal has changed since "), HasSubstr("restore it")));
   more.seeds = {1};
