@@ -35,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 6
+#define ROBOSTRESS_INTERFACE 7
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
@@ -333,6 +333,11 @@ robostress_code robostress_dataset_append(robostress_dataset* dataset,
 size_t robostress_dataset_episodes(const robostress_dataset* dataset);
 size_t robostress_dataset_steps(const robostress_dataset* dataset);
 void robostress_dataset_free(robostress_dataset* dataset); /* NULL is allowed */
+
+/* ---- Of the wheel ---- */
+/* A PyMethodDef whose function is bound as python/library/cpython.cc says; NULL where no CPython
+   has loaded the library. */
+void* robostress_cpython_sub_step(void);
 
 #ifdef __GNUC__
 #pragma GCC visibility pop

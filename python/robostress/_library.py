@@ -9,7 +9,7 @@ from typing import Any, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-INTERFACE = 6
+INTERFACE = 7
 ERROR_SIZE = 1024
 
 
@@ -141,6 +141,7 @@ FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "dataset_episodes": (SIZE, [POINTER]),
     "dataset_steps": (SIZE, [POINTER]),
     "dataset_free": (None, [POINTER]),
+    "cpython_sub_step": (POINTER, []),
 }
 SLOW = ("dataset_open", "dataset_append", "dataset_free")
 

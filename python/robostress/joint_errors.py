@@ -276,6 +276,14 @@ class JointErrors(Copied):
                 failures.check(code)
         return act
 
+    def built_in(self, controller: Any, physics: Callable[[], Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
+        """`otherwise`, which does what actor() does and then returns physics(), as a built-in function where this is CPython:
+        it is asked for no more than numbers that are none, and calls that fail."""
+        if not _sub_step_method:
+            return otherwise
+        bound = (self._handle, self._asked_array.ctypes.data, controller, "torques", physics, otherwise, self)
+        return _new_built_in(_sub_step_method, bound, None)
+
     def act(self, asked: Any) -> None:
         """sub_step() in the attached arrays: ctrl gets what is applied, qpos the change, `record` both torques."""
         try:
@@ -348,3 +356,7 @@ for _name in ARM:
 _sub_step = LIBRARY.robostress_errors_sub_step
 _act_attached = LIBRARY.robostress_errors_act_attached
 _reset_attached = LIBRARY.robostress_errors_reset_attached
+_sub_step_method: Optional[int] = LIBRARY.robostress_cpython_sub_step()
+if _sub_step_method:
+    _new_built_in = ctypes.pythonapi.PyCFunction_NewEx
+    _new_built_in.restype, _new_built_in.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)

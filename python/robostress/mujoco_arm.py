@@ -1,7 +1,7 @@
 """The joint errors of one arm in a MuJoCo model, whoever steps it."""
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import numpy as np
 
@@ -140,6 +140,16 @@ class MujocoArm:
             act()
         return look_and_act
 
+    def sub_step(self, controller: Any, physics: Callable[[], Any]) -> Callable[..., Any]:
+        """actor(), then physics(), whose result it returns; it takes any arguments."""
+        act = self.actor(controller)
+
+        def act_and_go_on(*_: Any) -> Any:
+            act()
+            return physics()
+        plain = not self.servos and not self.fields
+        return self.errors.built_in(controller, physics, act_and_go_on) if plain else act_and_go_on
+
     def _servo_actor(self, act: Callable[[], Any]) -> Callable[[], Any]:
         def act_beside_servos() -> None:
             act()
@@ -172,28 +182,25 @@ class MujocoArm:
 
     def holds(self) -> bool:
         """Whether both sides of the gripper touch one and the same free body."""
-        if self._side is None:
+        if not self._pads:
             return False
         contact, count = self.data.contact, self.data.ncon
-        first, second = contact.geom1[:count], contact.geom2[:count]
-        touching = np.flatnonzero(self._side[first] | self._side[second])
-        touched = {(int(self._side[a]), int(self._free[b])) for i in touching
-                   for a, b in ((first[i], second[i]), (second[i], first[i]))}
+        first, second = contact.geom1[:count].tolist(), contact.geom2[:count].tolist()
+        touched = {(self._pads[a], self._free[b]) for a, b in (*zip(first, second), *zip(second, first)) if a in self._pads}
         return any(side == 1 and body >= 0 and (2, body) in touched for side, body in touched)
 
     def _watch(self, pads: Sequence[Sequence[int]]) -> None:
-        """Of each geom: the side of the gripper, 1 or 2, else 0; the free body that it is of, else -1."""
+        """_pads: of the gripper's geoms the side, 1 or 2. _free: of each geom the free body that it is of, else -1."""
         m = self.model
-        self._side: Optional[np.ndarray] = None
+        self._pads: Dict[int, int] = {}
         if not self.errors.reads_grasp:
             return
         if len(pads) != 2:
             raise InvalidArgument("the scenario depends on a grasp: name the geoms of both sides of the gripper, pads=(...)")
-        self._side, root = np.zeros(m.ngeom, int), m.body_rootid[m.geom_bodyid]
-        for side, geoms in enumerate(pads, 1):
-            self._side[list(geoms)] = side
+        self._pads = {int(geom): side for side, geoms in enumerate(pads, 1) for geom in geoms}
+        root = m.body_rootid[m.geom_bodyid]
         free = (m.body_jntnum[root] > 0) & (m.jnt_type[m.body_jntadr[root]] == 0)
-        self._free = np.where(free, root, -1)
+        self._free: List[int] = np.where(free, root, -1).tolist()
 
 
 class ArmEpisode:

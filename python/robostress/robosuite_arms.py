@@ -48,28 +48,13 @@ class _Robot:
         self.count = len(robot.robot_joints[part])
 
 
-def _physics(sim: Any, name: str) -> Callable[[], Any]:
+def _physics(sim: Any, name: str, replaced: Any) -> Callable[[], Any]:
     """The simulator's own sub-step; where nobody replaced it, without the way through robosuite's method."""
     method = getattr(type(sim), name)
-    if name in vars(sim) or method.__module__ != "robosuite.utils.binding_utils":
-        return getattr(sim, name)
+    if replaced is not None or method.__module__ != "robosuite.utils.binding_utils":
+        return replaced or functools.partial(method, sim)
     import mujoco  # type: ignore[import-not-found]
     return functools.partial(getattr(mujoco, f"mj_{name}"), sim.model._model, sim.data._data)
-
-
-def _before(physics: Callable[[], Any], acts: List[Callable[[], Any]]) -> Callable[..., None]:
-    """`physics` after `acts`."""
-    def sub_step(*_: Any) -> None:
-        for act in acts:
-            act()
-        physics()
-
-    def sub_step_of_one(*_: Any) -> None:
-        act()
-        physics()
-
-    act = acts[0]
-    return sub_step if len(acts) > 1 else sub_step_of_one
 
 
 class RobosuiteArms(Hooked):
@@ -77,6 +62,9 @@ class RobosuiteArms(Hooked):
 
     def __init__(self, base: Any) -> None:
         self.base, self.sim = base, None
+        self._parts: List[Any] = []  # what _made was made of, and its ids
+        self._kept: List[int] = []
+        self._made: Callable[..., Any]
         self.episodes: Dict[Key, ArmEpisode] = {}
         self.robots: Dict[Key, _Robot] = {}
         self._step, self._replaced = base.step, vars(base).get("step")
@@ -120,12 +108,10 @@ class RobosuiteArms(Hooked):
                 episode.begun = False
         self.sim = sim
         name = "step2" if getattr(base, "lite_physics", False) else "step"
-        physics, replaced = _physics(sim, name), vars(sim).get(name)
+        replaced = vars(sim).get(name)
 
         def first(*_: Any) -> None:
-            acts = [episode.begin_control_step().actor(self.robots[key].controller())
-                    for key, episode in self.episodes.items()]
-            sub_step = _before(physics, acts)
+            sub_step = self._sub_step(name, replaced)
             setattr(sim, name, sub_step)
             sub_step()
 
@@ -137,3 +123,17 @@ class RobosuiteArms(Hooked):
         for episode in self.episodes.values():
             result[-1][episode.name] = episode.executed(action)
         return result
+
+    def _sub_step(self, name: str, replaced: Any) -> Callable[..., Any]:
+        """Of the control step that begins; as the last one's where all that it is made of is the same."""
+        sim = self.sim
+        parts = [sim, sim.model._model, sim.data._data, getattr(type(sim), name), replaced]
+        for key, episode in self.episodes.items():
+            parts += episode.begin_control_step(), self.robots[key].controller()
+        kept = [*map(id, parts)]
+        if kept != self._kept:
+            sub_step = _physics(sim, name, replaced)
+            for k in range(len(parts) - 2, 4, -2):
+                sub_step = parts[k].sub_step(parts[k + 1], sub_step)
+            self._made, self._parts, self._kept = sub_step, parts, kept
+        return self._made

@@ -96,31 +96,37 @@ class Tree:
         self.root, self.build, self.timeout = root, build, timeout
         self.passing, self.entries = {}, {}
 
-    def run(self, *command, timeout=None):
+    def run(self, *command, timeout=None, environment=()):
         try:
-            return subprocess.run(command, cwd=self.root, stdout=subprocess.DEVNULL,
-                                  stderr=subprocess.DEVNULL, timeout=timeout).returncode == 0
+            return subprocess.run(command, cwd=self.root, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=timeout,
+                                  env={**os.environ, **dict(each.split("=", 1) for each in environment)}).returncode == 0
         except subprocess.TimeoutExpired:
             return False
 
     def commands(self, test):
-        """Program and arguments of each of ctest's entries in `test`; arguments there replace the entry's own filter."""
+        """Program, arguments and environment of each of ctest's entries in `test`; arguments there replace the entry's own
+        filter."""
         if not self.entries:
             listed = subprocess.run(["ctest", "--test-dir", self.build, "--show-only=json-v1"], cwd=self.root,
                                     check=True, capture_output=True, text=True).stdout
-            self.entries = {entry["name"]: entry.get("command", []) for entry in json.loads(listed)["tests"]}
+            self.entries = {entry["name"]: entry for entry in json.loads(listed)["tests"]}
         for part in test.split(","):
             name, *arguments = part.split()
-            if not self.entries.get(name):
+            if not self.entries.get(name, {}).get("command"):
                 refuse(f"ctest has no program for {name}: build {self.root / self.build} first")
-            program, *own = self.entries[name]
-            yield program, arguments or own
+            program, *own = self.entries[name]["command"]
+            environment = next((p["value"] for p in self.entries[name]["properties"] if p["name"] == "ENVIRONMENT"), [])
+            yield program, arguments or own, environment
 
     def builds(self, test):
-        return self.run("ninja", "-C", self.build, *(pathlib.Path(program).name for program, _ in self.commands(test)))
+        # Python's tests install the library.
+        targets = {"robostress_c" if program == "python3" or "/bin/python" in program else pathlib.Path(program).name
+                   for program, _, _ in self.commands(test)}
+        return self.run("ninja", "-C", self.build, *sorted(targets))
 
     def passes(self, test):
-        return all(self.run(program, *arguments, timeout=self.timeout) for program, arguments in self.commands(test))
+        return all(self.run(program, *arguments, timeout=self.timeout, environment=environment)
+                   for program, arguments, environment in self.commands(test))
 
     def verdict(self, mutant):
         test, path = mutant["test"], self.root / mutant["file"]

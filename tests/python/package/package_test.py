@@ -9,10 +9,13 @@ import os
 import pathlib
 import pickle
 import subprocess
+import sys
 import tempfile
 import threading
 import time
+import types
 import unittest
+import weakref
 
 import guide_blocks
 import numpy as np
@@ -236,6 +239,16 @@ class Errors(unittest.TestCase):
         self.assertAlmostEqual(abs(errors.offset()[0]), 0.01)
         np.testing.assert_array_equal(errors.reading([0.3], [0.1]), [[0.3], [0.1]])
 
+    def attached(self):
+        """Errors without an effect at two joints of a simulator, its qpos and ctrl."""
+        simulator = {"qpos": np.zeros(2), "qvel": np.zeros(2), "ctrl": np.zeros(2), "xaxis": np.tile([0, 1.0, 0], (2, 1)),
+                     "xanchor": np.zeros((2, 3)), "subtree_com": np.full((2, 3), 0.1), "subtree_mass": np.ones(2)}
+        errors = rs.JointErrors("clean", joints=2)
+        errors.attach([0, 0, -9.81], rows=2, **simulator, **{name: [0, 1] for name in (
+            "qpos_index", "dof_index", "ctrl_index", "joint_index", "body_index")})
+        errors.reset_attached(0.002)
+        return errors, simulator["qpos"], simulator["ctrl"]
+
     def test_acts_in_a_simulators_arrays(self):
         simulator = {"qpos": np.zeros(3), "qvel": np.zeros(3), "ctrl": np.zeros(3), "xaxis": np.tile([0, 1.0, 0], (3, 1)),
                      "xanchor": np.zeros((3, 3)), "subtree_com": np.full((3, 3), 0.1), "subtree_mass": np.ones(3)}
@@ -271,6 +284,52 @@ class Errors(unittest.TestCase):
                              ({"tool": np.zeros(2)}, "tool has 2 entries"), ({"wheel": np.zeros(2)}, "arrays .*wheel.* must be")):
             with self.assertRaisesRegex(rs.InvalidArgument, words):
                 errors.attach([0, 0, -9.81], **{**simulator, **indices, **wrong})
+
+    def test_a_sub_step_is_a_built_in_function_of_cpython(self):
+        errors, q, ctrl = self.attached()
+        controller, said = types.SimpleNamespace(torques=np.array([1.0, 2])), []
+
+        def otherwise():
+            errors.act(controller.torques)
+            said.append("otherwise")
+            return "otherwise"
+        step = errors.built_in(controller, lambda: "physics", otherwise)
+        if sys.implementation.name == "cpython":
+            self.assertEqual(type(step), type(len))
+        self.assertEqual([step(), step(True)], 2 * ["physics"])
+        self.assertEqual(said, [])
+        np.testing.assert_array_equal(ctrl, [1, 2])
+        references = sys.getrefcount(controller.torques)
+        step()
+        self.assertEqual(sys.getrefcount(controller.torques), references)
+        for torques, applied in (([3, 4], [3, 4]), (np.array([5, 6]), [5, 6]), (np.array([7, 8], np.float32), [7, 8]),
+                                 (np.array([9.0, 0, 8, 0])[::2], [9, 8]), (np.array([3.0, 4]).astype(">f8"), [3, 4])):
+            controller.torques = torques
+            self.assertEqual(step(), "otherwise")
+            np.testing.assert_array_equal(ctrl, applied)
+        for torques, words in ((np.ones(3), "asked has shape .3."), (np.ones((2, 1)), "asked has shape .2, 1."),
+                               (None, "asked"), ("no", "asked"), (np.array([np.nan, 1]), "asked.0. is nan")):
+            controller.torques = torques
+            with self.assertRaisesRegex(rs.InvalidArgument, words):
+                step()
+        np.testing.assert_array_equal(ctrl, [3, 4])
+        del controller.torques
+        with self.assertRaisesRegex(AttributeError, "torques"):
+            step()
+        controller.torques = np.array([1.0, 2])
+
+        def broken():
+            raise ZeroDivisionError("in the physics")
+        with self.assertRaisesRegex(ZeroDivisionError, "in the physics"):
+            errors.built_in(controller, broken, otherwise)()
+        # It keeps all that it needs, and gives it back.
+        kept, alive = [step], weakref.ref(errors)
+        del errors, otherwise, step
+        gc.collect()
+        self.assertEqual(kept[0](), "physics")
+        kept.clear()
+        gc.collect()
+        self.assertIsNone(alive())
 
     def test_seeds_give_streams_and_change_no_error(self):
         first, second = rs.JointErrors("clean", seed=1), rs.JointErrors("clean", seed=2)

@@ -123,6 +123,25 @@ class Wrapped(unittest.TestCase):
         self.assertEqual(len(calls), 25)
         self.assertEqual((env.step, getattr(env.sim, name)), mine)
 
+    def test_what_is_replaced_in_mid_episode_counts(self):
+        wrapped, calls = self.wrap("aged_transmission"), []
+        wrapped.reset()
+        go_on(wrapped, 2)
+        sim, robot, name = self.env.sim, self.env.robots[0], "step2" if PARTS else "step"
+        physics = getattr(sim, name)
+        setattr(sim, name, lambda: calls.append(physics()))
+        go_on(wrapped, 1)
+        delattr(sim, name)
+        go_on(wrapped, 1)
+        self.assertEqual(len(calls), 25)
+        mine = copy.copy(robot.part_controllers["right"] if PARTS else robot.controller)
+        if PARTS:
+            robot.part_controllers["right"] = mine
+        else:
+            robot.controller = mine
+        _, info = go_on(wrapped, 1)
+        np.testing.assert_array_equal(info["robostress"]["asked"][-1], mine.torques)
+
     def test_an_episode_begins_at_each_reset(self):
         wrapped = self.wrap("aged_transmission")
         first, _ = play(wrapped)
