@@ -12,7 +12,7 @@ fi
 method=$1 part=$2 first=$3 episodes=$4 out=$5
 shift 5
 preset=("$method")
-[[ $method != paper ]] || preset=(ours --set method.residual_scale=command method.learning_rate=1e-5)
+[[ $method != paper ]] || preset=(ours --set method.residual_scale=command --set method.learning_rate=1e-5)
 seven=heavy_payload,thermal_drift_stribeck,thermal_drift_backlash,aged_transmission
 seven+=,aged_joint_uniform,aged_joint_shoulder,aged_joint_elbow
 case $part in
