@@ -26,9 +26,11 @@ ROBOSTRESS_OF_CPYTHON void* PyLong_AsVoidPtr(PyObject*);
 ROBOSTRESS_OF_CPYTHON PyObject* PyObject_GetAttr(PyObject*, PyObject*);
 ROBOSTRESS_OF_CPYTHON int PyObject_GetBuffer(PyObject*, Py_buffer*, int);
 ROBOSTRESS_OF_CPYTHON void PyBuffer_Release(Py_buffer*);
-ROBOSTRESS_OF_CPYTHON PyObject* PyObject_CallObject(PyObject*, PyObject*);
+ROBOSTRESS_OF_CPYTHON PyObject* PyObject_CallFunctionObjArgs(PyObject*, ...);
+ROBOSTRESS_OF_CPYTHON int PyErr_ExceptionMatches(PyObject*);
 ROBOSTRESS_OF_CPYTHON void PyErr_Clear();
 ROBOSTRESS_OF_CPYTHON void Py_DecRef(PyObject*);
+ROBOSTRESS_OF_CPYTHON extern PyObject* PyExc_Exception;
 #undef ROBOSTRESS_OF_CPYTHON
 
 }  // extern "C"
@@ -36,7 +38,7 @@ ROBOSTRESS_OF_CPYTHON void Py_DecRef(PyObject*);
 namespace robostress {
 namespace {
 
-// Of the tuple that the function is bound to, which keeps all of it: JointErrors.built_in().
+// Of the tuple that the function is bound to, which keeps all of it: JointErrors.sub_step_of().
 enum Part : ptrdiff_t { kErrors, kAsked, kController, kTorques, kPhysics, kOtherwise };
 
 template <class Value>
@@ -44,34 +46,45 @@ Value* PointerIn(PyObject* bound, Part part) {
   return static_cast<Value*>(PyLong_AsVoidPtr(PyTuple_GetItem(bound, part)));
 }
 
-// Whether `torques` are `joints` doubles in a row; nothing else is taken.
-bool Take(PyObject* torques, size_t joints, double* asked) {
+enum class Taken { kYes, kNo, kInterrupted };
+
+// Takes `joints` doubles in a row; nothing else.
+Taken Take(PyObject* torques, size_t joints, double* asked) {
   constexpr int kContiguousWithFormat = 0x4 | 0x8;  // PyBUF_FORMAT | PyBUF_ND
   Py_buffer buffer = {};
   if (PyObject_GetBuffer(torques, &buffer, kContiguousWithFormat) != 0) {
+    if (!PyErr_ExceptionMatches(PyExc_Exception)) return Taken::kInterrupted;
     PyErr_Clear();
-    return false;
+    return Taken::kNo;
   }
-  const bool taken = buffer.dimensions == 1 && buffer.format != nullptr &&
-                     std::strcmp(buffer.format, "d") == 0 &&
-                     static_cast<size_t>(buffer.size) == joints * sizeof(double);
-  if (taken) std::memcpy(asked, buffer.data, joints * sizeof(double));
+  const bool fits = buffer.dimensions == 1 && buffer.format != nullptr &&
+                    std::strcmp(buffer.format, "d") == 0 &&
+                    static_cast<size_t>(buffer.size) == joints * sizeof(double);
+  if (fits) std::memcpy(asked, buffer.data, joints * sizeof(double));
   PyBuffer_Release(&buffer);
-  return taken;
+  return fits ? Taken::kYes : Taken::kNo;
+}
+
+PyObject* GoOn(PyObject* bound, PyObject* torques) {
+  auto* errors = PointerIn<robostress_errors>(bound, kErrors);
+  const Taken taken =
+      Take(torques, static_cast<size_t>(errors->chain.joints()), PointerIn<double>(bound, kAsked));
+  if (taken == Taken::kInterrupted) return nullptr;
+  if (taken == Taken::kYes && robostress_errors_act_attached(errors, nullptr, 0) == ROBOSTRESS_OK) {
+    return PyObject_CallFunctionObjArgs(PyTuple_GetItem(bound, kPhysics), nullptr);
+  }
+  return PyObject_CallFunctionObjArgs(PyTuple_GetItem(bound, kOtherwise), torques, nullptr);
 }
 
 // The errors act on what the controller asks for, then the physics goes on. Where they cannot,
-// another function does both and says why.
+// another function does both with the same torques, and says why.
 PyObject* SubStep(PyObject* bound, PyObject*) {
   PyObject* torques =
       PyObject_GetAttr(PyTuple_GetItem(bound, kController), PyTuple_GetItem(bound, kTorques));
   if (torques == nullptr) return nullptr;
-  auto* errors = PointerIn<robostress_errors>(bound, kErrors);
-  const bool acted = Take(torques, static_cast<size_t>(errors->chain.joints()),
-                          PointerIn<double>(bound, kAsked)) &&
-                     robostress_errors_act_attached(errors, nullptr, 0) == ROBOSTRESS_OK;
+  PyObject* result = GoOn(bound, torques);
   Py_DecRef(torques);
-  return PyObject_CallObject(PyTuple_GetItem(bound, acted ? kPhysics : kOtherwise), nullptr);
+  return result;
 }
 
 struct PyMethodDef {
@@ -88,6 +101,7 @@ PyMethodDef sub_step = {"sub_step", SubStep, kAnyArguments, nullptr};
 
 extern "C" void* robostress_cpython_sub_step(void) {
   const bool here = PyTuple_GetItem && PyLong_AsVoidPtr && PyObject_GetAttr && PyObject_GetBuffer &&
-                    PyBuffer_Release && PyObject_CallObject && PyErr_Clear && Py_DecRef;
+                    PyBuffer_Release && PyObject_CallFunctionObjArgs && PyErr_ExceptionMatches &&
+                    PyErr_Clear && Py_DecRef && &PyExc_Exception;
   return here ? &robostress::sub_step : nullptr;
 }

@@ -86,6 +86,7 @@ class JointErrors(Copied):
     def _own(self, handle: ctypes.c_void_p) -> None:
         self._handle = handle.value
         self._free = weakref.finalize(self, LIBRARY.robostress_errors_free, self._handle)
+        self._free.atexit = False  # others' last calls may come later
         self._moment = Moment(size=ctypes.sizeof(Moment), step=0.002)
         self._sub_steps, self._step = 0, 0.002
         self._asked_array, self._applied, self._change = (np.zeros(self.joints) for _ in range(3))
@@ -276,12 +277,16 @@ class JointErrors(Copied):
                 failures.check(code)
         return act
 
-    def built_in(self, controller: Any, physics: Callable[[], Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
-        """`otherwise`, which does what actor() does and then returns physics(), as a built-in function where this is CPython:
-        it is asked for no more than numbers that are none, and calls that fail."""
+    def sub_step_of(self, controller: Any, physics: Callable[[], Any]) -> Callable[..., Any]:
+        """act(controller.torques), then physics(), whose result it returns, whatever it is given; in CPython a built-in
+        function."""
+        def act_and_go_on(torques: Any) -> Any:
+            self.act(torques)
+            return physics()
+
         if not _sub_step_method:
-            return otherwise
-        bound = (self._handle, self._asked_array.ctypes.data, controller, "torques", physics, otherwise, self)
+            return lambda *_: act_and_go_on(controller.torques)
+        bound = (self._handle, self._asked_array.ctypes.data, controller, "torques", physics, act_and_go_on, self)
         return _new_built_in(_sub_step_method, bound, None)
 
     def act(self, asked: Any) -> None:

@@ -142,13 +142,14 @@ class MujocoArm:
 
     def sub_step(self, controller: Any, physics: Callable[[], Any]) -> Callable[..., Any]:
         """actor(), then physics(), whose result it returns; it takes any arguments."""
+        if not self.servos and not self.fields:
+            return self.errors.sub_step_of(controller, physics)
         act = self.actor(controller)
 
         def act_and_go_on(*_: Any) -> Any:
             act()
             return physics()
-        plain = not self.servos and not self.fields
-        return self.errors.built_in(controller, physics, act_and_go_on) if plain else act_and_go_on
+        return act_and_go_on
 
     def _servo_actor(self, act: Callable[[], Any]) -> Callable[[], Any]:
         def act_beside_servos() -> None:
@@ -186,7 +187,8 @@ class MujocoArm:
             return False
         contact, count = self.data.contact, self.data.ncon
         first, second = contact.geom1[:count].tolist(), contact.geom2[:count].tolist()
-        touched = {(self._pads[a], self._free[b]) for a, b in (*zip(first, second), *zip(second, first)) if a in self._pads}
+        touched = {(self._pads[a], self._free[b]) for a, b in (*zip(first, second), *zip(second, first))
+                   if a in self._pads and b >= 0}
         return any(side == 1 and body >= 0 and (2, body) in touched for side, body in touched)
 
     def _watch(self, pads: Sequence[Sequence[int]]) -> None:

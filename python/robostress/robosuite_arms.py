@@ -48,13 +48,12 @@ class _Robot:
         self.count = len(robot.robot_joints[part])
 
 
-def _physics(sim: Any, name: str, replaced: Any) -> Callable[[], Any]:
-    """The simulator's own sub-step; where nobody replaced it, without the way through robosuite's method."""
+def _of_mujoco(sim: Any, name: str) -> Optional[Callable[..., Any]]:
+    """MuJoCo's function behind the simulator's own sub-step, where nobody has put another one in its place."""
     method = getattr(type(sim), name)
-    if replaced is not None or method.__module__ != "robosuite.utils.binding_utils":
-        return replaced or functools.partial(method, sim)
-    import mujoco  # type: ignore[import-not-found]
-    return functools.partial(getattr(mujoco, f"mj_{name}"), sim.model._model, sim.data._data)
+    if name in vars(sim) or getattr(method, "__globals__", {}).get("__name__") != "robosuite.utils.binding_utils":
+        return None
+    return getattr(sys.modules["mujoco"], f"mj_{name}")
 
 
 class RobosuiteArms(Hooked):
@@ -108,10 +107,10 @@ class RobosuiteArms(Hooked):
                 episode.begun = False
         self.sim = sim
         name = "step2" if getattr(base, "lite_physics", False) else "step"
-        replaced = vars(sim).get(name)
+        replaced, physics, of_mujoco = vars(sim).get(name), getattr(sim, name), _of_mujoco(sim, name)
 
         def first(*_: Any) -> None:
-            sub_step = self._sub_step(name, replaced)
+            sub_step = self._sub_step([sim.model._model, sim.data._data, getattr(type(sim), name), replaced, of_mujoco], physics)
             setattr(sim, name, sub_step)
             sub_step()
 
@@ -124,16 +123,16 @@ class RobosuiteArms(Hooked):
             result[-1][episode.name] = episode.executed(action)
         return result
 
-    def _sub_step(self, name: str, replaced: Any) -> Callable[..., Any]:
-        """Of the control step that begins; as the last one's where all that it is made of is the same."""
-        sim = self.sim
-        parts = [sim, sim.model._model, sim.data._data, getattr(type(sim), name), replaced]
+    def _sub_step(self, parts: List[Any], physics: Callable[..., Any]) -> Callable[..., Any]:
+        """Of the control step that begins: physics(), or without the way through robosuite MuJoCo's function. parts: model, data,
+        what the simulator has, MuJoCo's function; the last one's sub-step serves while they and the arms are the same."""
+        count, (model, data, *_, of_mujoco) = len(parts), parts
         for key, episode in self.episodes.items():
             parts += episode.begin_control_step(), self.robots[key].controller()
         kept = [*map(id, parts)]
         if kept != self._kept:
-            sub_step = _physics(sim, name, replaced)
-            for k in range(len(parts) - 2, 4, -2):
+            sub_step = physics if of_mujoco is None else functools.partial(of_mujoco, model, data)
+            for k in range(len(parts) - 2, count - 1, -2):
                 sub_step = parts[k].sub_step(parts[k + 1], sub_step)
             self._made, self._parts, self._kept = sub_step, parts, kept
         return self._made

@@ -119,9 +119,13 @@ class Tree:
             yield program, arguments or own, environment
 
     def builds(self, test):
-        # Python's tests install the library.
-        targets = {"robostress_c" if program == "python3" or "/bin/python" in program else pathlib.Path(program).name
-                   for program, _, _ in self.commands(test)}
+        # Python's tests install the library, and name the programs that they ask.
+        targets = set()
+        for program, _, environment in self.commands(test):
+            named = [pathlib.Path(each.split("=", 1)[1]) for each in environment]
+            targets |= {path.name for path in named if path.parent.name in ("bin", "test_bin") and "venv" not in str(path)}
+            name = pathlib.Path(program).name
+            targets.add("robostress_c" if name.startswith("python") else name)
         return self.run("ninja", "-C", self.build, *sorted(targets))
 
     def passes(self, test):

@@ -287,17 +287,11 @@ class Errors(unittest.TestCase):
 
     def test_a_sub_step_is_a_built_in_function_of_cpython(self):
         errors, q, ctrl = self.attached()
-        controller, said = types.SimpleNamespace(torques=np.array([1.0, 2])), []
-
-        def otherwise():
-            errors.act(controller.torques)
-            said.append("otherwise")
-            return "otherwise"
-        step = errors.built_in(controller, lambda: "physics", otherwise)
+        controller = types.SimpleNamespace(torques=np.array([1.0, 2]))
+        step = errors.sub_step_of(controller, lambda: "physics")
         if sys.implementation.name == "cpython":
             self.assertEqual(type(step), type(len))
         self.assertEqual([step(), step(True)], 2 * ["physics"])
-        self.assertEqual(said, [])
         np.testing.assert_array_equal(ctrl, [1, 2])
         references = sys.getrefcount(controller.torques)
         step()
@@ -305,7 +299,7 @@ class Errors(unittest.TestCase):
         for torques, applied in (([3, 4], [3, 4]), (np.array([5, 6]), [5, 6]), (np.array([7, 8], np.float32), [7, 8]),
                                  (np.array([9.0, 0, 8, 0])[::2], [9, 8]), (np.array([3.0, 4]).astype(">f8"), [3, 4])):
             controller.torques = torques
-            self.assertEqual(step(), "otherwise")
+            self.assertEqual(step(), "physics")
             np.testing.assert_array_equal(ctrl, applied)
         for torques, words in ((np.ones(3), "asked has shape .3."), (np.ones((2, 1)), "asked has shape .2, 1."),
                                (None, "asked"), ("no", "asked"), (np.array([np.nan, 1]), "asked.0. is nan")):
@@ -321,10 +315,21 @@ class Errors(unittest.TestCase):
         def broken():
             raise ZeroDivisionError("in the physics")
         with self.assertRaisesRegex(ZeroDivisionError, "in the physics"):
-            errors.built_in(controller, broken, otherwise)()
+            errors.sub_step_of(controller, broken)()
+
+        class ReadOnce:
+            reads = 0
+
+            @property
+            def torques(self):
+                self.reads += 1
+                return [self.reads, 0.0]
+        once = ReadOnce()
+        errors.sub_step_of(once, lambda: None)()
+        np.testing.assert_array_equal(ctrl, [1, 0])
         # It keeps all that it needs, and gives it back.
         kept, alive = [step], weakref.ref(errors)
-        del errors, otherwise, step
+        del errors, step
         gc.collect()
         self.assertEqual(kept[0](), "physics")
         kept.clear()

@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
 """The wrapper around robosuite's environments, 1.4 and 1.5: what it changes, and what it refuses."""
 import copy
+import functools
 import logging
 import pickle
 import unittest
+import unittest.mock
 
+import mujoco
 import numpy as np
 import robosuite
 from robosuite.utils.binding_utils import MjSim
@@ -134,6 +137,25 @@ class Wrapped(unittest.TestCase):
         delattr(sim, name)
         go_on(wrapped, 1)
         self.assertEqual(len(calls), 25)
+        class Spy(list):  # empty: false
+            def __call__(self, *given):
+                calls.append(given)
+        before = len(calls)
+        setattr(sim, name, Spy())
+        go_on(wrapped, 1)
+        delattr(sim, name)
+        of_class = vars(MjSim)[name]
+        for put in (Spy(), staticmethod(Spy()), functools.wraps(of_class)(lambda sim: calls.append(()))):
+            setattr(MjSim, name, put)
+            try:
+                go_on(wrapped, 1)
+            finally:
+                setattr(MjSim, name, of_class)
+        with unittest.mock.patch.object(mujoco, "mj_" + name, Spy()):
+            go_on(wrapped, 1)
+        go_on(wrapped, 1)
+        self.assertEqual(len(calls) - before, 5 * 25)
+        self.assertEqual([len(given) for given in calls[before:]], 100 * [0] + 25 * [2])
         mine = copy.copy(robot.part_controllers["right"] if PARTS else robot.controller)
         if PARTS:
             robot.part_controllers["right"] = mine
