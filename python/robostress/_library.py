@@ -51,8 +51,8 @@ ARM = ("q", "dq", "gravity", "payload_gravity", "payload_inertia", "tilt_gravity
 
 
 class Moment(ctypes.Structure):
-    _fields_ = [("size", ctypes.c_size_t), ("time", ctypes.c_double), ("step", ctypes.c_double)] + [
-        (name, ctypes.c_void_p) for name in ARM]
+    _fields_ = [("size", ctypes.c_size_t), ("time", ctypes.c_double), ("step", ctypes.c_double),
+                *((name, ctypes.c_void_p) for name in ARM)]
 
 
 ATTACHED = ("qpos", "qvel", "ctrl", "xaxis", "xanchor", "subtree_com", "subtree_mass", "qpos_index", "dof_index",
@@ -60,8 +60,8 @@ ATTACHED = ("qpos", "qvel", "ctrl", "xaxis", "xanchor", "subtree_com", "subtree_
 
 
 class Arrays(ctypes.Structure):
-    _fields_ = [("size", ctypes.c_size_t)] + [(name, ctypes.c_void_p) for name in ATTACHED] + [
-        ("field", ctypes.c_double * 3), ("tool", ctypes.c_void_p), ("gear", ctypes.c_void_p), ("slides", ctypes.c_void_p)]
+    _fields_ = [("size", ctypes.c_size_t), *((name, ctypes.c_void_p) for name in ATTACHED), ("field", ctypes.c_double * 3),
+                ("tool", ctypes.c_void_p), ("gear", ctypes.c_void_p), ("slides", ctypes.c_void_p)]
 
 
 class Control(ctypes.Structure):
@@ -85,8 +85,8 @@ class Schema(ctypes.Structure):
 
 class Frames(ctypes.Structure):
     _fields_ = [("size", ctypes.c_size_t), ("instruction", ctypes.c_char_p), ("success", ctypes.c_int),
-                ("steps", ctypes.c_size_t)] + [
-        (name, ctypes.c_void_p) for name in ("vectors", "pixels", "width", "height", "pictures", "picture_ends")]
+                ("steps", ctypes.c_size_t), *((name, ctypes.c_void_p) for name in (
+                    "vectors", "pixels", "width", "height", "pictures", "picture_ends"))]
 
 
 POINTER, TEXT, INT, SIZE = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_size_t

@@ -90,7 +90,7 @@ class JointErrors(Copied):
         self._moment = Moment(size=ctypes.sizeof(Moment), step=0.002)
         self._sub_steps, self._step = 0, 0.002
         self._asked_array, self._applied, self._change = (np.zeros(self.joints) for _ in range(3))
-        self._asked = memoryview(self._asked_array)
+        self._asked = self._asked_array.data
         self._views: Dict[str, memoryview] = {"asked": self._asked}
         self._bound: Set[str] = set()  # of them, somebody else's arrays
         asked, applied, change = (a.ctypes.data for a in (self._asked_array, self._applied, self._change))
@@ -129,7 +129,7 @@ class JointErrors(Copied):
                     not values.flags.c_contiguous):
                 raise InvalidArgument(f"{name} must be a contiguous float64 array of shape {list(shape)} to be bound; "
                                       "give others by name in each call, which copies")
-            self._views[name] = memoryview(values)
+            self._views[name] = values.data
             setattr(self._moment, name, values.ctypes.data)
 
     def _fill(self, arm: Dict[str, Any]) -> None:

@@ -143,7 +143,8 @@ class _Robot:
 def _play(env: Any, robot: _Robot, method: str, rows: int, state: np.ndarray, limit: int,
           episode: Tuple[int, int]) -> Tuple[bool, int]:
     """Success, and after how many commands."""
-    compensator, plan = Compensator(method), []
+    compensator = Compensator(method)
+    plan: List[np.ndarray] = []
     if not compensator.every_step:
         compensator = Compensator(method, rows=rows)
     env.seed(SEED)  # reset() draws where fixtures stand

@@ -192,4 +192,4 @@ def _all_parameters(parent, child):
     return inspect.Signature([*inspect.signature(parent).parameters.values(), *own.values()])
 
 
-LiberoBenchmark.__init__.__signature__ = _all_parameters(LIBEROBenchmark.__init__, LiberoBenchmark.__init__)
+setattr(LiberoBenchmark.__init__, "__signature__", _all_parameters(LIBEROBenchmark.__init__, LiberoBenchmark.__init__))
