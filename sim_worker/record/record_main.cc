@@ -7,6 +7,7 @@
 
 #include <chrono>
 #include <cstdio>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
@@ -168,10 +169,11 @@ class EpisodeFile {
         FindSuite(job.suite)->needs_libero);
     file.settings_ = settings;
     const std::string before = SettingsIn(file.path_, hdf5);
-    if (!before.empty() && before != settings) {
-      return absl::AlreadyExistsError(absl::StrCat(file.path_, " was recorded with ", before,
-                                                   ", now it is ", settings,
-                                                   "; give another --out or --tag, or remove it"));
+    if (std::filesystem::exists(file.path_) && before != settings) {
+      return absl::AlreadyExistsError(
+          absl::StrCat(file.path_, " was recorded with ",
+                       before.empty() ? "settings that it does not name" : before, ", now it is ",
+                       settings, "; give another --out or --tag, or remove it"));
     }
     if (hdf5) {
       RS_ASSIGN_OR_RETURN(file.libero_, LiberoDemonstrationWriter::Create(

@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <set>
 #include <string>
 
@@ -201,6 +202,13 @@ TEST(LiberoRecord, AFileOfOtherSettingsIsNotWrittenOver) {
     EXPECT_EQ(refusal, 1) << refused;
     EXPECT_THAT(refused, AllOf(HasSubstr("was recorded with {\"scenario\":\"clean\""),
                                HasSubstr("give another --out or --tag, or remove it")));
+    const fs::path file = folder / absl::StrCat("libero_object_task00_expert_1000.",
+                                                form == "hdf5" ? "hdf5" : "safetensors");
+    std::ofstream(file, std::ios::trunc) << "another's";
+    const auto [foreign, kept] = record("--format " + form);
+    EXPECT_EQ(kept, 1) << foreign;
+    EXPECT_THAT(foreign, HasSubstr("was recorded with settings that it does not name"));
+    EXPECT_EQ(fs::file_size(file), 9u);
   }
   const auto [both, code] = record("--libero-tasks " + folder.string());
   EXPECT_EQ(code, 2) << both;
