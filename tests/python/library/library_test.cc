@@ -460,6 +460,10 @@ TEST_F(Library, SurvivesCallsInAnyOrder) {
   }
 }
 
+TEST(Library, HasNoFunctionOfCPythonWhereNoneHasLoadedIt) {
+  EXPECT_EQ(robostress_cpython_sub_step(), nullptr);
+}
+
 #ifdef LIBROBOSTRESS
 TEST(LibraryFile, LinksGlibcAloneAndShowsOnlyItsInterface) {
   const auto [needed, code] = RunProgram("objdump", "-p " LIBROBOSTRESS " | grep NEEDED");
