@@ -460,7 +460,7 @@ TEST_F(Library, SurvivesCallsInAnyOrder) {
   }
 }
 
-TEST(Library, HasNoFunctionOfCPythonWhereNoneHasLoadedIt) {
+TEST_F(Library, HasNoFunctionOfCPythonWhereNoneHasLoadedIt) {
   EXPECT_EQ(robostress_cpython_sub_step(), nullptr);
 }
 
