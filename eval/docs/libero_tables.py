@@ -142,11 +142,12 @@ def residual(runs):
                     values[episode["scenario"]].append(float(episode["residual"]))
     print("Residual [%], mean over rollouts")
     row("scenario", ["LIBERO", "paper pi0", "n"])
-    means = {s: 100 * sum(values[s]) / len(values[s]) for s in ["clean", *SEVEN]}
+    means = {s: 100 * sum(v) / len(v) for s, v in sorted(values.items(), key=lambda item: [*PAPER_RESIDUAL, item[0]].index(item[0]))}
     for scenario, mean in means.items():
-        row(scenario, [f"{mean:.1f}", PAPER_RESIDUAL[scenario], len(values[scenario])])
-    correlation = spearman([means[s] for s in SEVEN], [PAPER_RESIDUAL[s] for s in SEVEN])
-    print(f"Rank correlation of the seven: {correlation:.2f}")
+        row(scenario, [f"{mean:.1f}", PAPER_RESIDUAL.get(scenario, ""), len(values[scenario])])
+    if set(SEVEN) <= set(means):
+        correlation = spearman([means[s] for s in SEVEN], [PAPER_RESIDUAL[s] for s in SEVEN])
+        print(f"Rank correlation of the seven: {correlation:.2f}")
 
 
 def main():
