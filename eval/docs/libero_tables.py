@@ -142,7 +142,8 @@ def residual(runs):
                     values[episode["scenario"]].append(float(episode["residual"]))
     print("Residual [%], mean over rollouts")
     row("scenario", ["LIBERO", "paper pi0", "n"])
-    means = {s: 100 * sum(v) / len(v) for s, v in sorted(values.items(), key=lambda item: [*PAPER_RESIDUAL, item[0]].index(item[0]))}
+    order = [*PAPER_RESIDUAL, *(s for s in values if s not in PAPER_RESIDUAL)]
+    means = {s: 100 * sum(values[s]) / len(values[s]) for s in order if values[s]}
     for scenario, mean in means.items():
         row(scenario, [f"{mean:.1f}", PAPER_RESIDUAL.get(scenario, ""), len(values[scenario])])
     if set(SEVEN) <= set(means):
