@@ -17,7 +17,6 @@ from winning_back import FOLDER as EMBEDDED, SEVEN, cell, differences, holm, out
 
 KEPT = pathlib.Path(__file__).parent / "libero-tables"
 NOISE = ["isolated_stribeck", "isolated_backlash", "isolated_compliance", "isolated_gravity"]
-LEVELS = range(1, 6)
 PAPER = {"paper pi0.5": dict(zip(["clean", *SEVEN], [97.0, 44.1, 54.1, 83.4, 33.2, 29.5, 43.9, 55.6])),
          "paper pi0": dict(zip(["clean", *SEVEN], [91.1, 42.3, 46.1, 75.5, 26.8, 23.0, 34.5, 43.9]))}
 PAPER_RESIDUAL = dict(zip(["clean", *SEVEN], [23.4, 48.6, 47.5, 46.1, 38.7, 48.2, 56.3, 47.0]))  # tab:residual-magnitude
@@ -104,33 +103,63 @@ def comparisons(seven):
             row(scenario, [cell(seven[a], seven[b], [scenario], False), f"p {p:.2g}"])
 
 
-def other_tables(folder, methods):
-    for part, title in (("noise", "Each error alone, L5: success [%]"), ("levels", "Severity: success [%], mean of the seven")):
-        tables = {m: part_of(folder, m, part) for m in methods}
-        tables = {m: t for m, t in tables.items() if t}
-        if not tables:
+def against_base(tables, conditions):
+    """For each other method: all conditions together, then each, p by Holm over them. conditions: {name: [keys]}."""
+    for method in tables:
+        if method == "base" or "base" not in tables:
             continue
-        print(f"\n{title}")
-        row("", tables)
-        if part == "noise":
-            for scenario in NOISE:
-                row(scenario, [f"{rate(t, (scenario, 5))[0]:.1f}" for t in tables.values()])
-            row("mean", [f"{sum(rate(t, (s, 5))[0] for s in NOISE) / 4:.1f}" for t in tables.values()])
-            row("n a cell", [rate(t, (NOISE[0], 5))[1] for t in tables.values()])
-            conditions = [(s, 5) for s in NOISE]
-        else:
-            for method, table in tables.items():  # L5 on the states that the other levels have
-                states = {key for pairs in table[SEVEN[0], 1].values() for key in pairs}
-                for condition, tasks in part_of(folder, method, "seven").items():
-                    for task, pairs in tasks.items():
-                        table[condition][task] = {key: v for key, v in pairs.items() if key in states}
-            for level in LEVELS:
-                row(f"L{level}", [f"{sum(rate(t, (s, level))[0] for s in SEVEN) / 7:.1f}" for t in tables.values()])
-            row("n a cell", [7 * rate(t, (SEVEN[0], 1))[1] for t in tables.values()])
-            conditions = [(s, level) for s in SEVEN for level in LEVELS]
-        for method in tables:
-            if method != "base" and "base" in tables:
-                row(f"{method} - base", [cell(tables[method], tables["base"], conditions)])
+        mine, other = tables[method], tables["base"]
+        p_values = holm([sign_flip_p(differences(mine, other, keys)[0]) for keys in conditions.values()])
+        row(f"{method} - base", ["all", cell(mine, other, [k for keys in conditions.values() for k in keys])])
+        for (name, keys), p in zip(conditions.items(), p_values):
+            row(f"{method} - base", [name, cell(mine, other, keys, False), f"by Holm over {len(conditions)} {p:.2g}"])
+
+
+def noise_table(folder, methods):
+    tables = {m: t for m in methods if (t := part_of(folder, m, "noise"))}
+    if not tables:
+        return
+    print("\nEach error alone, L5: success [%]")
+    row("", tables)
+    for scenario in NOISE:
+        row(scenario, [f"{rate(t, (scenario, 5))[0]:.1f}" for t in tables.values()])
+    row("mean", [f"{sum(rate(t, (s, 5))[0] for s in NOISE) / 4:.1f}" for t in tables.values()])
+    row("n a cell", [rate(t, (NOISE[0], 5))[1] for t in tables.values()])
+    against_base(tables, {s: [(s, 5)] for s in NOISE})
+
+
+def severity_table(folder, methods):
+    """The levels that every method with one has; L5 of part seven."""
+    levels = {m: {n for n in range(1, 5) if part_of(folder, m, f"level_{n}")} for m in methods}
+    levels = {m: numbers for m, numbers in levels.items() if numbers}
+    if not levels:
+        return
+    shared = [*sorted(set.intersection(*levels.values())), 5]
+    tables = {m: {c: tasks for part in (*(f"level_{n}" for n in shared[:-1]), "seven")
+                  for c, tasks in part_of(folder, m, part).items()} for m in levels}
+    print("\nSeverity: success [%], mean of the seven and each")
+    row("", [f"L{n}" for n in shared])
+    for method, table in tables.items():
+        row(method, [f"{sum(rate(table, (s, n))[0] for s in SEVEN) / 7:.1f}" for n in shared])
+        for scenario in SEVEN:
+            row(f"{method}, {scenario}", [f"{rate(table, (scenario, n))[0]:.1f}" for n in shared])
+        row("n a cell of a scenario", [rate(table, (SEVEN[0], n))[1] for n in shared])
+    against_base(tables, {f"L{n}": [(s, n) for s in SEVEN] for n in shared})
+
+
+def length_table(folder, methods, scenario="heavy_payload"):
+    """The paper's length under one scenario: all tasks, and the last five of each suite."""
+    tables = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, scenario).items()})}
+    if not tables:
+        return
+    print(f"\n{scenario} at the paper's length: success [%], n")
+    for method, table in tables.items():
+        suites = sorted({suite for suite, _ in table[scenario]})
+        rates = [rate({scenario: {k: v for k, v in table[scenario].items() if k[0] == s}}, scenario) for s in suites]
+        row(method, ["{:.1f}, {}".format(*rate(table, scenario)), *(f"{s} {r:.1f}, {n}" for s, (r, n) in zip(suites, rates))])
+    late = {m: {scenario: {(suite, task): v for (suite, task), v in t[scenario].items() if task >= 5}} for m, t in tables.items()}
+    against_base(tables, {"all tasks": [scenario]})
+    against_base(late, {"the last five tasks of each suite": [scenario]})
 
 
 def residual(runs):
@@ -161,7 +190,9 @@ def main():
         raise SystemExit(f"{folder} has no base/seven-*.jsonl: eval/conditions/libero_tables.sh base seven 0 2 {folder}")
     main_table(seven)
     comparisons(seven)
-    other_tables(folder, methods)
+    noise_table(folder, methods)
+    severity_table(folder, methods)
+    length_table(folder, methods)
 
 
 if __name__ == "__main__":
