@@ -40,6 +40,36 @@ def part_of(folder, method, part):
     return table
 
 
+def refuse_unlike(part, tables):
+    """Ends where a method lacks a condition, task or episode that another one of the part has."""
+    keys = {m: {(c, *task, key) for c, tasks in t.items() for task, pairs in tasks.items() for key in pairs}
+            for m, t in tables.items()}
+    for method, mine in keys.items():
+        if missing := sorted(set.union(*keys.values()) - mine, key=str):
+            condition, suite, task, (seed, state) = missing[0]
+            raise SystemExit(f"{part}: {method} lacks {len(missing)} episodes that another method has, the first: {condition}, "
+                             f"{suite} task {task}, seed {seed}, state {state}; run eval/conditions/libero_tables.sh again")
+
+
+def refuse_other_weights(folder):
+    first = {}
+    for file in sorted(folder.glob("*/*.jsonl")):
+        for line in file.read_text().splitlines():
+            unit = json.loads(line)
+            first.setdefault((unit["policy"], unit["model"]), f"{file}: {unit['unit']}")
+    if len(first) > 1:
+        raise SystemExit(f"outcomes of {len(first)} policies or weights: {first}; keep each in a folder of its own")
+
+
+def updates_table(folder, methods):
+    print("\nUpdates in a suite's episodes of part seven: least, mean, most")
+    for method in methods:
+        counts = [json.loads(line)["updates"] for file in (folder / method).glob("seven-*.jsonl")
+                  for line in file.read_text().splitlines()]
+        if any(counts):
+            row(method, [min(counts), f"{sum(counts) / len(counts):.0f}", max(counts)])
+
+
 def ranks(values):
     """From 1, ties share their mean rank."""
     order = sorted(values)
@@ -119,6 +149,7 @@ def noise_table(folder, methods):
     tables = {m: t for m in methods if (t := part_of(folder, m, "noise"))}
     if not tables:
         return
+    refuse_unlike("noise", tables)
     print("\nEach error alone, L5: success [%]")
     row("", tables)
     for scenario in NOISE:
@@ -129,14 +160,15 @@ def noise_table(folder, methods):
 
 
 def severity_table(folder, methods):
-    """The levels that every method with one has; L5 of part seven."""
+    """The levels that there are; L5 of part seven."""
     levels = {m: {n for n in range(1, 5) if part_of(folder, m, f"level_{n}")} for m in methods}
     levels = {m: numbers for m, numbers in levels.items() if numbers}
     if not levels:
         return
-    shared = [*sorted(set.intersection(*levels.values())), 5]
+    shared = [*sorted(set.union(*levels.values())), 5]
     tables = {m: {c: tasks for part in (*(f"level_{n}" for n in shared[:-1]), "seven")
                   for c, tasks in part_of(folder, m, part).items()} for m in levels}
+    refuse_unlike("levels", tables)
     print("\nSeverity: success [%], mean of the seven and each")
     row("", [f"L{n}" for n in shared])
     for method, table in tables.items():
@@ -152,6 +184,7 @@ def length_table(folder, methods, scenario="heavy_payload"):
     tables = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, scenario).items()})}
     if not tables:
         return
+    refuse_unlike(scenario, tables)
     print(f"\n{scenario} at the paper's length: success [%], n")
     for method, table in tables.items():
         suites = sorted({suite for suite, _ in table[scenario]})
@@ -188,8 +221,11 @@ def main():
     seven = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, "seven").items()})}
     if "base" not in seven:
         raise SystemExit(f"{folder} has no base/seven-*.jsonl: eval/conditions/libero_tables.sh base seven 0 2 {folder}")
+    refuse_other_weights(folder)
+    refuse_unlike("seven", seven)
     main_table(seven)
     comparisons(seven)
+    updates_table(folder, methods)
     noise_table(folder, methods)
     severity_table(folder, methods)
     length_table(folder, methods)

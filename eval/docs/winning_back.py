@@ -47,6 +47,7 @@ def differences(mine, other, conditions):
     equally many pairs, so that their sum weighs each the same."""
     sums, counts = defaultdict(int), defaultdict(int)
     for condition in conditions:
+        counts[condition] += 0
         for task, pairs in mine[condition].items():
             for key in pairs.keys() & other[condition][task].keys():
                 sums[task] += pairs[key] - other[condition][task][key]

@@ -4,6 +4,7 @@
 import os
 import subprocess
 import sys
+import time
 import unittest
 
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -16,6 +17,14 @@ def write(name, text):
     with open(path, "w", encoding="utf-8") as file:
         file.write(text)
     return path
+
+
+def alive(process):
+    try:
+        with open(f"/proc/{process}/stat", encoding="utf-8") as file:
+            return file.read().split()[2] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def run(program, *arguments):
@@ -50,9 +59,10 @@ class Guide(unittest.TestCase):
         self.assertEqual(code, 0, output)
         with open(os.path.join(FOLDER, "reader", "pid"), encoding="utf-8") as file:
             process = file.read().strip()
-        if os.path.exists(f"/proc/{process}/stat"):
-            with open(f"/proc/{process}/stat", encoding="utf-8") as file:
-                self.assertEqual(file.read().split()[2], "Z")
+        end = time.monotonic() + 20  # a signal is delivered when the process next gets a processor
+        while alive(process):
+            self.assertLess(time.monotonic(), end, f"sleep, process {process}, still runs")
+            time.sleep(0.05)
 
 
 class Links(unittest.TestCase):
