@@ -39,8 +39,13 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
     std::error_code ignored;
     // Archives leave files such as ._task.bddl.
     if (file.extension() != ".bddl" || file.filename().string().starts_with('.') ||
-        !fs::is_regular_file(file, ignored))
+        fs::is_directory(file, ignored))
       continue;
+    if (!fs::is_regular_file(file, ignored)) {
+      return absl::NotFoundError(absl::StrCat(
+          file.string(),
+          ": a link to a file that is not there; mend or remove it, tasks are counted by place"));
+    }
     read.tasks.push_back(file.stem().string());
     RS_RETURN_IF_ERROR(CheckName(read.tasks.back(), folder));
   }

@@ -14,6 +14,7 @@ namespace robostress {
 namespace {
 
 constexpr int kFolderHorizon = 400;
+constexpr int kMostStates = 10000;  // of a task folder's file
 
 struct AddedSuite {
   SuiteInfo info;
@@ -65,6 +66,7 @@ absl::StatusOr<std::string> AddTaskFolder(const std::string& folder) {
   info.name = info.title = read.suite;
   info.num_tasks = static_cast<int>(read.tasks.size());
   info.horizon = kFolderHorizon;
+  info.num_initial_states = kMostStates;
   info.needs_libero = true;
   for (const SuiteInfo& suite : AllSuites()) {
     if (suite.needs_libero && absl::StartsWith(read.suite, suite.name + "_"))

@@ -14,8 +14,10 @@ struct SuiteInfo {
   std::string name;   // "tabletop_goal", "libero_goal"
   std::string title;  // "Goal"
   int num_tasks = 10;
-  int horizon = 0;              // control steps after the settle steps
-  int num_initial_states = 50;  // reproducible states per task; 0-19 report, 40-49 dev
+  int horizon = 0;  // control steps after the settle steps
+  // Reproducible states per task; 0-19 report, 40-49 dev. Of a task folder 10,000 at most:
+  // how many a task has its file says.
+  int num_initial_states = 50;
   bool needs_libero = false;    // reads LIBERO's own files
   std::string robot = "panda";  // common/unit/robots.h
   bool states_go_on = false;    // the states of a task begin where those of the task before it end

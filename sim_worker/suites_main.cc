@@ -26,8 +26,14 @@ struct CommandLine {
 
 bool Wanted(const CommandLine& line, const SuiteInfo& info) {
   if (!line.suite.empty()) return line.suite == info.name;
-  if (!line.folder_suites.empty()) return false;
+  if (!line.folder_suites.empty() && !line.libero) return false;
   return !line.libero || info.needs_libero;
+}
+
+// In words; of a task folder its files say how many, each task of its own.
+std::string StatesOf(const SuiteInfo& info) {
+  if (!TaskFolderOf(info.name).empty()) return "";
+  return absl::StrCat(", ", info.num_initial_states, " initial states");
 }
 
 UnitConfig UnitOf(const CommandLine& line, const SuiteInfo& info) {
@@ -68,14 +74,21 @@ std::vector<SuiteInfo> Suites(const CommandLine& line) {
 
 absl::Status PrintText(const CommandLine& line) {
   for (const SuiteInfo& info : Suites(line)) {
-    std::printf("%s  (%s, %d tasks, horizon %d, %d initial states%s%s)\n", info.name.c_str(),
-                info.title.c_str(), info.num_tasks, info.horizon, info.num_initial_states,
+    std::printf("%s  (%s, %d tasks, horizon %d%s%s%s)\n", info.name.c_str(), info.title.c_str(),
+                info.num_tasks, info.horizon, StatesOf(info).c_str(),
                 info.needs_libero ? ", needs `robostress libero setup`" : "",
                 info.robot == "panda" ? "" : absl::StrCat(", --robot ", info.robot).c_str());
     int number = 0;
     RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, TasksOf(line, info));
-    for (const LiberoTaskLine& task : tasks)
-      std::printf("  %d  %s\n", number++, task.instruction.c_str());
+    for (const LiberoTaskLine& task : tasks) {
+      std::string states;
+      if (!TaskFolderOf(info.name).empty()) {
+        const absl::StatusOr<int> count = CountInitialStates(UnitOf(line, info), number);
+        states = count.ok() ? absl::StrCat("  (", *count, " initial states)")
+                            : absl::StrCat("  (", count.status().message(), ")");
+      }
+      std::printf("  %d  %s%s\n", number++, task.instruction.c_str(), states.c_str());
+    }
   }
   return absl::OkStatus();
 }
@@ -87,12 +100,20 @@ absl::Status PrintJson(const CommandLine& line) {
                             {"title", info.title},
                             {"num_tasks", info.num_tasks},
                             {"horizon", info.horizon},
-                            {"num_initial_states", info.num_initial_states},
                             {"needs_libero", info.needs_libero},
                             {"robot", info.robot}};
     RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, TasksOf(line, info));
-    for (const LiberoTaskLine& task : tasks)
-      suite["tasks"].push_back({{"name", task.name}, {"instruction", task.instruction}});
+    const bool folder = !TaskFolderOf(info.name).empty();
+    if (!folder) suite["num_initial_states"] = info.num_initial_states;
+    for (const LiberoTaskLine& task : tasks) {
+      nlohmann::json entry = {{"name", task.name}, {"instruction", task.instruction}};
+      if (folder) {
+        const auto count =
+            CountInitialStates(UnitOf(line, info), static_cast<int>(suite["tasks"].size()));
+        entry["num_initial_states"] = count.value_or(0);
+      }
+      suite["tasks"].push_back(entry);
+    }
     out.push_back(suite);
   }
   std::printf("%s\n", out.dump(2).c_str());
@@ -154,7 +175,9 @@ int main(int argc, char** argv) {
   app.add_option("--suite", line.suite, "Only this one");
   app.add_flag("--libero", line.libero, "Only LIBERO's four");
   app.add_option("--libero-tasks", line.task_folders,
-                 "Only this folder of LIBERO tasks (.bddl), as a suite with its name; repeatable")
+                 "Only this folder of LIBERO tasks (.bddl), as a suite with its name; repeatable, "
+                 "and beside "
+                 "--libero")
       ->type_name("DIR")
       ->check(robostress::cli::ExistingDirectory())
       ->allow_extra_args(false);
@@ -162,7 +185,7 @@ int main(int argc, char** argv) {
   app.add_option(
          "--sheet", line.sheets,
          "Write FOLDER/SUITE.svg with the first frame of every task, of the embedded suites, "
-         "of --suite or of --libero")
+         "of --suite, --libero or --libero-tasks")
       ->type_name("FOLDER");
   app.add_option("--size", line.size, "Of a view on the sheet [px]")
       ->check(robostress::cli::Range(16, 512))

@@ -16,6 +16,7 @@
 #include "common/libero_fixtures.h"
 #include "common/libero_home.h"
 #include "common/libero_protocols.h"
+#include "common/libero_task_folder.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"
@@ -194,6 +195,22 @@ bool NeedsLibero(const std::string& suite) {
   return info != nullptr && info->needs_libero;
 }
 
+// That every task that is played has stored states, before a cluster waits for it.
+void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
+  for (const std::string& path : grid.libero_tasks) {
+    const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
+    if (!folder.ok()) continue;  // said already
+    for (int task = 0; task < static_cast<int>(folder->tasks.size()); ++task) {
+      const bool played = grid.tasks.empty() || absl::c_linear_search(grid.tasks, task);
+      if (played && InitialStatesOf(*folder, folder->tasks[task]).empty()) {
+        complaints.Add(
+            absl::StrCat("task ", task, " of ", path, ", ", folder->tasks[task],
+                         ", has no initial states beside it; leave it out with --tasks"));
+      }
+    }
+  }
+}
+
 void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
   for (const int severity : grid.severities) {
     if (severity < 1 || severity > 5)
@@ -336,6 +353,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   CheckPolicies(grid, robot, home, complaints);
   CheckRemote(grid, robot, home, complaints);
   CheckRanges(grid, complaints);
+  CheckTaskFolders(grid, complaints);
   CheckStepLimits(grid, complaints);
   complaints.CheckUnique("suite", grid.suites);
   complaints.CheckUnique("method", grid.methods);

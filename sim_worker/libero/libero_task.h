@@ -16,6 +16,13 @@ namespace robostress {
 // replaced. `task` is the index in the benchmark's order, in a folder in that of the names.
 absl::StatusOr<std::unique_ptr<SimTask>> MakeLiberoTask(const UnitConfig& unit, int task);
 
+// Whether the files of all of unit.tasks can be read, place every fixture and hold the initial
+// states that the unit starts from: what can be said before anything is played.
+absl::Status CheckLiberoTasks(const UnitConfig& unit);
+
+// How many initial states are stored for a task.
+absl::StatusOr<int> CountInitialStates(const UnitConfig& unit, int task);
+
 // The tasks of unit.suite in order: names of files and instructions. LIBERO's own suites need no
 // file for it; a BDDL file of a folder that cannot be read is an error.
 struct LiberoTaskLine {

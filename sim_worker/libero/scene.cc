@@ -18,6 +18,7 @@
 #include "sim_worker/libero/mjcf.h"
 #include "sim_worker/libero/object_file.h"
 #include "sim_worker/libero/scene_parts.h"
+#include "sim_worker/libero/task_doubts.h"
 
 namespace robostress::libero {
 namespace {
@@ -184,6 +185,7 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
   if (!problem_class.ok())
     return absl::NotFoundError(absl::StrCat(bddl.file, ": ", problem_class.status().message()));
   scene.problem_class = *problem_class;
+  RS_RETURN_IF_ERROR(CheckFixturesPlaced(bddl, scene.problem_class));
 
   RS_ASSIGN_OR_RETURN(MjcfFile model, MjcfFile::Load(paths.robosuite + "/base.xml"));
   XMLElement* option = model.Section("option");

@@ -135,6 +135,12 @@ absl::StatusOr<MjcfFile> MakeArena(const LiberoPaths& paths, const BddlProblem& 
                                                      "' lies on the workspace and has no :ranges"));
     }
     const std::array<double, 4>& range = region.ranges[0];
+    if (range[0] == range[2] || range[1] == range[3]) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(bddl.file, ":", region.line, ": region '", region.name,
+                       "' has a range without area, of which MuJoCo makes no site; :ranges are x0 "
+                       "y0 x1 y1 [m] with x0 < x1 and y0 < y1"));
+    }
     std::array<double, 3> pos = {(range[2] + range[0]) / 2, (range[3] + range[1]) / 2,
                                  problem.zone_z};
     if (problem.zone_at_workspace) {

@@ -1,5 +1,6 @@
 #include "sim_worker/libero/setup.h"
 
+#include <sys/mman.h>
 #include <unistd.h>
 #include <yaml-cpp/yaml.h>
 
@@ -7,6 +8,7 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include "absl/cleanup/cleanup.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -250,25 +252,29 @@ absl::Status LinkParts(const std::vector<FoundPart>& parts, const std::string& h
   return absl::OkStatus();
 }
 
-std::vector<std::string> PythonRoots(const std::string& python) {
-  const std::string log = (fs::temp_directory_path() / "robostress-XXXXXX").string();
-  std::vector<char> name(log.begin(), log.end());
-  name.push_back('\0');
-  const int file = mkstemp(name.data());
-  if (file < 0) return {};
-  close(file);
-  std::vector<std::string> roots;
-  absl::StatusOr<ChildProcess> child = ChildProcess::Start(
-      {"/usr/bin/env", python, "-c", "import sys; print('\\n'.join(sys.path))"}, {}, name.data());
-  if (child.ok() && child->WaitForEnd().code == 0) {
-    const absl::StatusOr<std::string> text = ReadFile(name.data());
-    std::error_code ignored;
-    for (const auto line : absl::StrSplit(text.value_or(""), '\n', absl::SkipEmpty())) {
-      if (fs::is_directory(fs::path(std::string(line)), ignored)) roots.emplace_back(line);
-    }
+absl::StatusOr<std::vector<std::string>> PythonRoots(const std::string& python) {
+  const int output = memfd_create("python's path", 0);  // no disk, no TMPDIR
+  if (output < 0) return absl::ErrnoToStatus(errno, "cannot hold what a Python prints");
+  const absl::Cleanup close_output = [output] { close(output); };
+  const std::string file = absl::StrCat("/proc/", getpid(), "/fd/", output);
+  // A path goes without env, which takes one with '=' for a variable.
+  std::vector<std::string> command = {python, "-c", "import sys; print('\\n'.join(sys.path))"};
+  if (!absl::StrContains(python, '/')) command.insert(command.begin(), "/usr/bin/env");
+  RS_ASSIGN_OR_RETURN(ChildProcess child, ChildProcess::Start(command, {}, file));
+  const ExitState end = child.WaitForEnd();
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  if (end.code != 0) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(python, " does not run (", end.text, ")", text.empty() ? "" : ": ",
+                     absl::StripAsciiWhitespace(text),
+                     "; give the Python of the environment that has LIBERO, such as "
+                     "libero/bin/python"));
   }
+  std::vector<std::string> roots;
   std::error_code ignored;
-  fs::remove(name.data(), ignored);
+  for (const auto line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
+    if (fs::is_directory(fs::path(std::string(line)), ignored)) roots.emplace_back(line);
+  }
   return roots;
 }
 

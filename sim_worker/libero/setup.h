@@ -60,8 +60,9 @@ absl::Status LinkParts(const std::vector<FoundPart>& parts, const std::string& h
 // The roots to look in whatever Python there is: LIBERO_ROOT, ROBOSUITE_ROOT, what `home` already
 // links, the folders in LIBERO's own config.yaml and cache.
 std::vector<std::string> UsualRoots(const std::string& home);
-// The folders that a Python imports from; empty if it does not run.
-std::vector<std::string> PythonRoots(const std::string& python);
+// The folders that a Python imports from. A name without '/' is looked for in PATH.
+// FailedPrecondition says how it ended if it does not run.
+absl::StatusOr<std::vector<std::string>> PythonRoots(const std::string& python);
 // The Python of the active environment: VIRTUAL_ENV's, CONDA_PREFIX's, else python3.
 std::string UsualPython();
 

@@ -6,7 +6,9 @@
 #include "common/libero_task_folder.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/bddl.h"
+#include "sim_worker/libero/init_states.h"
 #include "sim_worker/libero/libero_task.h"
+#include "sim_worker/libero/task_doubts.h"
 
 namespace robostress::libero {
 namespace {
@@ -62,6 +64,37 @@ absl::StatusOr<TaskFiles> FindTaskFiles(const LiberoPaths& paths, const UnitConf
 }  // namespace robostress::libero
 
 namespace robostress {
+
+absl::StatusOr<int> CountInitialStates(const UnitConfig& unit, int task) {
+  libero::LiberoPaths paths;
+  if (unit.libero_tasks.empty()) {
+    RS_ASSIGN_OR_RETURN(paths, libero::FindLibero(unit.libero_root, unit.robosuite_root));
+  }
+  RS_ASSIGN_OR_RETURN(const libero::TaskFiles files, libero::FindTaskFiles(paths, unit, task));
+  RS_ASSIGN_OR_RETURN(const libero::InitStates states,
+                      libero::ReadInitStates(files.initial_states));
+  return states.rows;
+}
+
+absl::Status CheckLiberoTasks(const UnitConfig& unit) {
+  RS_ASSIGN_OR_RETURN(const libero::LiberoPaths paths,
+                      libero::FindLibero(unit.libero_root, unit.robosuite_root));
+  for (const int task : unit.tasks) {
+    RS_ASSIGN_OR_RETURN(const libero::TaskFiles files, libero::FindTaskFiles(paths, unit, task));
+    RS_ASSIGN_OR_RETURN(const libero::BddlProblem problem, libero::ReadBddl(files.bddl));
+    if (const auto problem_class = libero::FindProblemClass(problem.name); problem_class.ok())
+      RS_RETURN_IF_ERROR(libero::CheckFixturesPlaced(problem, *problem_class));
+    RS_ASSIGN_OR_RETURN(const int states, CountInitialStates(unit, task));
+    const int last = unit.first_initial_state + unit.episodes - 1;
+    if (last >= states) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("episodes start from states ", unit.first_initial_state, " to ", last,
+                       " of ", states, " initial states in ", files.initial_states,
+                       "; give fewer --episodes or leave the task out"));
+    }
+  }
+  return absl::OkStatus();
+}
 
 absl::StatusOr<std::vector<LiberoTaskLine>> LiberoTaskLines(const UnitConfig& unit) {
   std::vector<LiberoTaskLine> lines;

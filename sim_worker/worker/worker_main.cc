@@ -20,6 +20,7 @@
 #include "common/suites.h"
 #include "common/unit/unit_directory.h"
 #include "sim_worker/arm_sensing.h"
+#include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/setup.h"
 #include "sim_worker/sim_task.h"
 #include "sim_worker/simulator_row.h"
@@ -174,7 +175,14 @@ absl::Status Run(const std::string& unit_file, const std::vector<std::string>& o
   SimUnitOptions noted = options;
   if (const std::string files = LiberoFiles(*unit); !files.empty())
     noted.notes[kLiberoFiles] = files;
-  return RunSimUnit(*unit, noted, MakeTask);
+  bool checked = false;  // what is wrong with the last task is said before the first is played
+  return RunSimUnit(*unit, noted,
+                    [&checked](const UnitConfig& resolved, int task) -> absl::StatusOr<UnitTask> {
+                      if (!checked && FindSuite(resolved.suite)->needs_libero)
+                        RS_RETURN_IF_ERROR(CheckLiberoTasks(resolved));
+                      checked = true;
+                      return MakeTask(resolved, task);
+                    });
 }
 
 int Main(int argc, char** argv) {

@@ -49,6 +49,14 @@ TEST(TaskFolder, IsASuiteNamedAsTheFolder) {
   EXPECT_THAT(ReadLiberoTaskFolder(folder)->tasks, ElementsAre("a", "b"));
 }
 
+TEST(TaskFolder, ATaskThatIsNoFileIsRefusedForItMovesTheOthers) {
+  const std::string folder = Folder("links", {"a.bddl", "c.bddl"});
+  fs::remove(folder + "/b.bddl");
+  fs::create_symlink("gone", folder + "/b.bddl");
+  EXPECT_THAT(std::string(ReadLiberoTaskFolder(folder).status().message()),
+              HasSubstr("/b.bddl: a link to a file that is not there"));
+}
+
 TEST(TaskFolder, NamesThatNoTableCanShowAreRefused) {
   for (const char* name : {"open_\xFF.bddl", "two\nlines.bddl", "a\"quote.bddl"}) {
     const std::string folder = Folder("names", {name});

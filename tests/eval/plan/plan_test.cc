@@ -301,8 +301,9 @@ TEST(Plan, StepLimitsReachLiberosSuitesAndNoOthers) {
 TEST(Plan, AFolderOfTasksIsASuite) {
   const std::filesystem::path folder =
       std::filesystem::path(::testing::TempDir()) / "plan" / "libero_goal_mine";
+  std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
-  for (const char* task : {"a.bddl", "b.bddl"})
+  for (const char* task : {"a.bddl", "a.pruned_init", "b.bddl"})
     ASSERT_TRUE(WriteFileAtomically((folder / task).string(), "").ok());
   SweepGrid grid;
   grid.policies = {"expert"};
@@ -311,6 +312,15 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   grid.libero_root = grid.robosuite_root = "somewhere";
   EXPECT_THAT(DumpConfig(grid), Not(HasSubstr("libero_tasks")));
   grid.libero_tasks = {folder.string()};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("task 1 of " + folder.string() + ", b, has no initial states beside it"));
+  grid.tasks = {0};
+  EXPECT_TRUE(ResolveGrid(grid).ok());
+  grid.tasks = {};
+  ASSERT_TRUE(WriteFileAtomically((folder / "b.init").string(), "").ok());
+  grid.first_initial_state = 60;
+  EXPECT_TRUE(ResolveGrid(grid).ok()) << "how many there are the file says";
+  grid.first_initial_state = 0;
   std::vector<PlannedUnit> units = Plan(grid);
   ASSERT_EQ(units.size(), 1u);
   EXPECT_EQ(units[0].config.suite, "libero_goal_mine");

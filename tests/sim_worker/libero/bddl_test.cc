@@ -70,6 +70,7 @@ TEST(BddlTest, ErrorsNameFileLineAndToken) {
   EXPECT_THAT(ErrorOf(With("(0.04 -0.03 0.06 -0.01)", "(0.04 -0.03 0.06)")),
               HasSubstr("task.bddl:5: expected a list of 4"));
   EXPECT_THAT(ErrorOf(With("0.04 -0.03 0.06", "0.07 -0.03 0.06")), HasSubstr("x1 < x0"));
+  EXPECT_THAT(ErrorOf(With("0.06 -0.01", "1e200 -0.01")), HasSubstr("more than 100 m away"));
   EXPECT_THAT(ErrorOf(With(":obj_of_interest", ":colour")),
               HasSubstr("task.bddl:10: unknown section ':colour'"));
   EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "plate_1 -)")),
@@ -86,6 +87,9 @@ TEST(BddlTest, ErrorsNameFileLineAndToken) {
                            "ffne")),
               HasSubstr("task.bddl:10: a word that is not UTF-8"));
   EXPECT_THAT(ErrorOf(With("robosuite", "igibson")), HasSubstr("domain 'igibson'"));
+  EXPECT_THAT(ErrorOf(With("(top_region (:target wooden_cabinet_1))",
+                           "(plate_region (:target main_table))")),
+              HasSubstr("task.bddl:6: region 'main_table_plate_region' is defined in line 5"));
   EXPECT_THAT(ErrorOf(std::string(kProblem) + ")"), HasSubstr("after the closing parenthesis"));
   EXPECT_THAT(ErrorOf(std::string(kProblem).substr(0, 200)), HasSubstr("a ')' is missing"));
   EXPECT_THAT(ErrorOf(""), HasSubstr("task.bddl:1"));
@@ -101,15 +105,33 @@ TEST(BddlTest, WhatLiberoSkipsWithoutAWordIsDoubtful) {
   };
   const std::string named = "'main_table_top_region' is neither an object nor a region";
   EXPECT_THAT(doubts("(On plate_1 main_table_plate_region)"),
-              ElementsAre(AllOf(HasSubstr("task.bddl:11: "), HasSubstr(named)),
-                          AllOf(HasSubstr("fixture 'wooden_cabinet_1' is placed by no"),
-                                HasSubstr("world's origin"))));
+              ElementsAre(AllOf(HasSubstr("task.bddl:11: "), HasSubstr(named))));
   EXPECT_THAT(doubts("(Onto plate_1 main_table_plate_region)"),
               Contains(HasSubstr("'onto' is skipped, it is none of close, in, on, open")));
   EXPECT_THAT(
       DoubtsOf(*ParseBddl("task.bddl", With("(On plate_1 main_table_plate_region)",
                                             "(On wooden_cabinet_1 main_table_plate_region)"))),
       IsEmpty());
+  EXPECT_THAT(DoubtsOf(*ParseBddl("turn_on_the_stove.bddl",
+                                  With("  (:language Put the bowl on the plate)\n", ""))),
+              ElementsAre(HasSubstr("the policy is told the file's name, 'turn on the stove'")));
+}
+
+TEST(BddlTest, AFixtureIsPlacedOnce) {
+  const auto placed = [](const std::string& init) {
+    const auto problem = ParseBddl("task.bddl", With("(On plate_1 main_table_plate_region)", init));
+    return std::string(CheckFixturesPlaced(*problem, *FindProblemClass(problem->name)).message());
+  };
+  const std::string once = "(On wooden_cabinet_1 main_table_plate_region)";
+  EXPECT_EQ(placed(once), "");
+  EXPECT_THAT(placed("(On wooden_cabinet_1 main_table_plaet_region)"),
+              AllOf(HasSubstr("task.bddl:8: fixture 'wooden_cabinet_1' is placed by no"),
+                    HasSubstr("world's origin; add the line, or correct the region's name")));
+  EXPECT_THAT(placed("(On wooden_cabinet_1 wooden_cabinet_1_top_region)"),
+              HasSubstr("is placed by no"));
+  EXPECT_THAT(
+      placed(once + "\n" + once),
+      HasSubstr("task.bddl:12: fixture 'wooden_cabinet_1' is placed a second time, line 11"));
 }
 
 TEST(BddlTest, AnEditorsMarkAtTheBeginningIsNoPartOfIt) {

@@ -132,6 +132,25 @@ TEST(InitStatesTest, ARowOfTheWrongLengthNamesFileAndSizes) {
                         "nv = 1 + 41 + 37 = 79"));
 }
 
+TEST(InitStatesTest, APoseThatIsNoneNamesRowBodyAndColumns) {
+  const auto error = [](const std::vector<double>& pose) {
+    std::vector<double> values(18, 0);  // two rows of time, a joint, a body's pose
+    values[5] = 1;
+    std::copy(pose.begin(), pose.end(), values.begin() + 11);
+    const absl::StatusOr<InitStates> states =
+        ParseInitStates("task.pruned_init", Zip("archive/data.pkl", Pickle(values, 2, 9)));
+    return std::string(CheckFreeBodies(*states, {{"mug_1", 1}}).message());
+  };
+  const double half = std::sqrt(0.5);
+  EXPECT_EQ(error({-3, 4, 1, half, 0, 0, -half}), "");
+  EXPECT_THAT(error({0, 0, 0, 0, 0, 0, 0}),
+              HasSubstr("task.pruned_init: row 1: the quaternion of 'mug_1', columns 5 to 8, has "
+                        "norm 0, must be 1"));
+  EXPECT_THAT(error({0, 0, 0, 0, 0, 5, 0}), HasSubstr("has norm 5"));
+  EXPECT_THAT(error({0, 9e5, 0, 1, 0, 0, 0}),
+              HasSubstr("row 1: the position of 'mug_1', columns 2 to 4, is 900000 m from"));
+}
+
 TEST(InitStatesTest, SurvivesDamagedFiles) {
   const std::string pickle = Pickle(kValues, 2, 3);
   RandomStream random(StreamKey("init states damage"));

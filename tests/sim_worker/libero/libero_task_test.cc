@@ -13,6 +13,7 @@
 #include <numbers>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "common/so3.h"
@@ -97,9 +98,48 @@ TEST(LiberoTaskFolder, PlaysTasksWithTheInstructionsOfTheirFiles) {
   const auto lines = LiberoTaskLines(unit);
   ASSERT_TRUE(lines.ok()) << lines.status();
   EXPECT_EQ(lines->at(0).instruction, "put the bowl on the plate");
+  EXPECT_EQ(CountInitialStates(unit, 1).value_or(-1), 50);
+}
+
+TEST(LiberoTaskFolder, WhatIsWrongWithALaterTaskIsSaidBeforeTheFirstIsPlayed) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const fs::path folder = fs::path(::testing::TempDir()) / "libero_goal_faults";
+  fs::remove_all(folder);
+  fs::create_directories(folder);
+  const std::string root = LiberoTree() + "/libero/libero/", name = "put_the_bowl_on_the_plate";
+  const std::string text = *ReadFile(root + "bddl_files/libero_goal/" + name + ".bddl");
+  const std::string states = root + "init_files/libero_goal/" + name + ".pruned_init";
+  for (const char* task : {"a", "b"}) {
+    ASSERT_TRUE(WriteFileAtomically((folder / task).string() + ".bddl", text).ok());
+    fs::copy_file(states, (folder / task).string() + ".pruned_init");
+  }
+  UnitConfig unit = GoalUnit();
+  unit.libero_tasks = folder.string();
+  unit.suite = *AddTaskFolder(unit.libero_tasks);
+  unit.tasks = {0, 1};
   unit.first_initial_state = 40;
+  unit.episodes = 10;
+  EXPECT_EQ(CheckLiberoTasks(unit).message(), "");
   unit.episodes = 11;
-  EXPECT_THAT(ErrorOf(unit, 1), HasSubstr("of 50 initial states"));
+  EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()),
+              HasSubstr("episodes start from states 40 to 50 of 50 initial states in "));
+  unit.episodes = 1;
+  ASSERT_TRUE(WriteFileAtomically(
+                  (folder / "b.bddl").string(),
+                  absl::StrReplaceAll(text, {{"main_table_stove_region)\n", "main_table_stov)\n"}}))
+                  .ok());
+  EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()),
+              HasSubstr("fixture 'flat_stove_1' is placed by no"));
+  EXPECT_THAT(ErrorOf(unit, 1), HasSubstr("fixture 'flat_stove_1' is placed by no"));
+  fs::remove(folder / "b.pruned_init");
+  EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()),
+              HasSubstr("b.bddl: no initial states"));
+  unit.tasks = {0};
+  EXPECT_EQ(CheckLiberoTasks(unit).message(), "");
+  const size_t range = text.find('(', text.find("(:ranges (") + 10);
+  const std::string flat = text.substr(0, range) + "(0 0 0 1" + text.substr(text.find(')', range));
+  ASSERT_TRUE(WriteFileAtomically((folder / "a.bddl").string(), flat).ok());
+  EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("has a range without area"));
 }
 
 TEST(LiberoTaskTest, ResetIsReproducibleAndStartsFromTheStoredRow) {
@@ -553,7 +593,7 @@ TEST(LiberoTaskTest, ALiberoWithoutItsAssetsSaysWhereTheyBelong) {
   const absl::StatusOr<LiberoPaths> paths = FindLibero(root, root);
   fs::remove_all(root);
   EXPECT_THAT(std::string(paths.status().message()),
-              ::testing::AllOf(HasSubstr("/libero/libero: no assets beside bddl_files"),
+              ::testing::AllOf(HasSubstr("--libero-root " + root.string() + ": no assets beside"),
                                HasSubstr("`robostress libero setup` finds and links them")));
 }
 

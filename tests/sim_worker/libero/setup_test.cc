@@ -149,8 +149,24 @@ TEST_F(LiberoSetup, LooksWhereLiberosOwnConfigurationPoints) {
 }
 
 TEST_F(LiberoSetup, APythonThatDoesNotRunHasNoRoots) {
-  EXPECT_THAT(PythonRoots((folder_ / "no-python").string()), IsEmpty());
-  EXPECT_THAT(PythonRoots("false"), IsEmpty());
+  const std::string missing = (folder_ / "no-python").string();
+  EXPECT_THAT(std::string(PythonRoots(missing).status().message()),
+              HasSubstr(missing + " does not run (exit code 127)"));
+  EXPECT_THAT(std::string(PythonRoots("false").status().message()),
+              HasSubstr("false does not run (exit code 1); give the Python"));
+}
+
+TEST_F(LiberoSetup, APythonNeedsNoTemporaryFileAndMayLieBehindAnEqualsSign) {
+  const fs::path python = folder_ / "a=b";
+  std::ofstream(python) << "#!/bin/sh\necho /usr\necho no-folder\n";
+  fs::permissions(python, fs::perms::owner_all);
+  const char* before = std::getenv("TMPDIR");
+  const std::string kept = before == nullptr ? "" : before;
+  setenv("TMPDIR", "/nonexistent", 1);
+  const absl::StatusOr<std::vector<std::string>> roots = PythonRoots(python.string());
+  before == nullptr ? unsetenv("TMPDIR") : setenv("TMPDIR", kept.c_str(), 1);
+  ASSERT_TRUE(roots.ok()) << roots.status();
+  EXPECT_THAT(*roots, ElementsAre("/usr"));
 }
 
 TEST_F(LiberoSetup, AMalformedListNamesItsLine) {
