@@ -13,7 +13,7 @@ import pathlib
 import sys
 from collections import defaultdict
 
-from winning_back import FOLDER as EMBEDDED, SEVEN, cell, differences, holm, outcomes, rate, sign_flip_p
+from winning_back import FOLDER as EMBEDDED, SEVEN, cell, differences, holm, interval, outcomes, rate, sign_flip_p
 
 KEPT = pathlib.Path(__file__).parent / "libero-tables"
 NOISE = ["isolated_stribeck", "isolated_backlash", "isolated_compliance", "isolated_gravity"]
@@ -177,6 +177,13 @@ def severity_table(folder, methods):
             row(f"{method}, {scenario}", [f"{rate(table, (scenario, n))[0]:.1f}" for n in shared])
         row("n a cell of a scenario", [rate(table, (SEVEN[0], n))[1] for n in shared])
     against_base(tables, {f"L{n}": [(s, n) for s in SEVEN] for n in shared})
+    for method in tables:
+        if method != "base" and "base" in tables:
+            (low, pairs), (high, _) = (differences(tables[method], tables["base"], [(s, n) for s in SEVEN])
+                                       for n in (shared[0], 5))
+            growth = {task: high[task] - low[task] for task in high | low}
+            text = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*interval(growth, pairs))
+            row(f"{method} - base", [f"L5 less L{shared[0]}", text, f"p {sign_flip_p(growth):.2g}"])
 
 
 def length_table(folder, methods, scenario="heavy_payload"):
