@@ -28,4 +28,4 @@ esac
 run=$out/$method/$part-$first
 robostress sweep --no-report --quiet --suites libero_spatial,libero_object,libero_goal,libero_10 --tasks all "${conditions[@]}" \
   --first-initial-state "$first" --episodes "$episodes" --out "$run" --set sim.pictures=plain "$@" --methods "${preset[@]}"
-robostress store outcomes "$run" --out "$run.jsonl"
+[[ " $* " == *" --dry-run "* ]] || robostress store outcomes "$run" --out "$run.jsonl"

@@ -228,13 +228,11 @@ int Main(int argc, char** argv) {
   auto* install = setup->add_flag(
       "--install", line.install,
       "Install the packages from PyPI into a virtual environment of their own first");
-  auto* accept =
-      setup->add_flag("--accept-differences", line.accept,
-                      "Link files that are missing or differ, too; pictures without their files "
-                      "are drawn plainly");
+  setup->add_flag("--accept-differences", line.accept,
+                  "Link files that are missing or differ, too; pictures without their files are "
+                  "drawn plainly");
   setup->add_flag("--check", line.check, "Look and check alone; link and install nothing")
-      ->excludes(install)
-      ->excludes(accept);
+      ->excludes(install);
   std::string libero_root, robosuite_root;
   cli::App* files = app.add_subcommand(
       "files", "Compose the forty tasks and print all files that they read, with SHA-256");

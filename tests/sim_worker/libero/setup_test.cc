@@ -211,7 +211,7 @@ TEST_F(LiberoSetup, TheProgramLinksNothingThatDiffersUnlessTold) {
   MakeSite("site", "libero/libero/assets");
   const std::string program = BIN_DIR "/robostress-libero";
   const std::string site = "setup --python false --site " + (folder_ / "site").string();
-  EXPECT_THAT(RunProgram(program, site).first, HasSubstr("it does not run"));
+  EXPECT_THAT(RunProgram(program, site).first, HasSubstr("false does not run (exit code 1)"));
   const std::string plain = "setup --site " + (folder_ / "site").string();
   auto [output, code] = RunProgram("HOME=/nonexistent PATH=/usr/bin " + program, plain);
   EXPECT_EQ(code, 1) << output;
