@@ -27,10 +27,11 @@ constexpr char kExamples[] =
     "  robostress compare runs/before runs/after\n\n"
     "Files are those of `robostress report RUN --export FILE`. Results of other laboratories share "
     "no episode with ours and\n"
-    "are compared as independent samples; two run directories are paired where their episodes "
-    "pair. What is not comparable\n"
-    "(other severity, protocol, version of a scenario, options of a method) is listed and left "
-    "out.\n";
+    "are compared as independent samples; what is not comparable (other severity, protocol, "
+    "version of a scenario, options\n"
+    "of a method) is listed and left out. Two run directories are what you changed yourself: tasks "
+    "that both have, paired\n"
+    "where their episodes pair; other options and weights are compared and noted.\n";
 
 bool IsDirectory(const std::string& path) {
   std::error_code none;

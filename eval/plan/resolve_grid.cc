@@ -143,6 +143,12 @@ void CheckRemote(const SweepGrid& grid, const RobotInfo& robot, PolicyHome home,
     complaints.Add(absl::StrCat("policies are ", absl::StrJoin(grid.policies, ", "),
                                 "; another server's policy has one name: --policies NAME"));
   }
+  constexpr int kPandaCommand = 7;
+  if (grid.remote.action_dim != kPandaCommand) {
+    complaints.Add(absl::StrCat("remote.action_dim is ", grid.remote.action_dim,
+                                ", and a Panda's command has 7 numbers: translation, rotation, "
+                                "gripper; have the server send 7"));
+  }
   for (const std::string& policy : grid.policies)
     if (RunsInWorker(policy))
       complaints.Add(absl::StrCat(

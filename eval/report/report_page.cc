@@ -156,7 +156,8 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
   if (const std::string note = MixedMachinesNote(run); !note.empty())
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
   for (const std::string& note :
-       {UnlikeUnitsNote(run), LiberoFilesNote(run), UnpairedNoiseNote(run), LateAnswersNote(run)})
+       {UnlikeUnitsNote(run), LiberoFilesNote(run), UnpairedNoiseNote(run), LateAnswersNote(run),
+        ClippedCommandsNote(run)})
     if (!note.empty()) absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
   for (const std::string& note : ServerNotes(run))
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");

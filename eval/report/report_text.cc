@@ -185,8 +185,9 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
       "  the controller's steady gain in the scale. The paper's column: another policy "
       "and other tasks.\n");
   std::vector<std::string> notes = ServerNotes(run);
-  notes.insert(notes.begin(), {UnlikeUnitsNote(run), LiberoFilesNote(run), MixedMachinesNote(run),
-                               UnpairedNoiseNote(run), LateAnswersNote(run)});
+  notes.insert(notes.begin(),
+               {UnlikeUnitsNote(run), LiberoFilesNote(run), MixedMachinesNote(run),
+                UnpairedNoiseNote(run), LateAnswersNote(run), ClippedCommandsNote(run)});
   for (const std::string& note : notes)
     if (!note.empty()) absl::StrAppend(&text, "  ", note, "\n");
   if (!run.unfinished.empty()) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <deque>
 #include <map>
 #include <set>
 #include <tuple>
@@ -65,6 +66,38 @@ std::vector<EpisodeValue> Successes(const std::vector<Units>& strata) {
     }
   }
   return values;
+}
+
+std::set<std::pair<std::string, int>> TasksOf(const Units& units) {
+  std::set<std::pair<std::string, int>> tasks;
+  for (const UnitResult* unit : units) {
+    for (const EpisodeRow& row : unit->episodes) tasks.insert({unit->config.suite, row.task});
+  }
+  return tasks;
+}
+
+// The units with the episodes of these tasks alone; what has none is left out. Copies go to `kept`.
+Units OnTasks(const Units& units, const std::set<std::pair<std::string, int>>& tasks,
+              std::deque<UnitResult>& kept) {
+  Units result;
+  for (const UnitResult* unit : units) {
+    const auto elsewhere = [&](const EpisodeRow& row) {
+      return tasks.count({unit->config.suite, row.task}) == 0;
+    };
+    if (std::any_of(unit->episodes.begin(), unit->episodes.end(), elsewhere)) {
+      unit = &kept.emplace_back(*unit);
+      std::vector<EpisodeRow>& rows = kept.back().episodes;
+      rows.erase(std::remove_if(rows.begin(), rows.end(), elsewhere), rows.end());
+    }
+    if (!unit->episodes.empty()) result.push_back(unit);
+  }
+  return result;
+}
+
+int EpisodesIn(const Units& units) {
+  int episodes = 0;
+  for (const UnitResult* unit : units) episodes += static_cast<int>(unit->episodes.size());
+  return episodes;
 }
 
 // One scenario, or several as the strata of an average.
@@ -238,7 +271,8 @@ absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunDat
   const auto cells = CellsOf(first), others = CellsOf(second);
   // policy, severity, method -> strata of the average
   std::map<std::tuple<std::string, int, std::string>, std::vector<PairedUnits>> averages;
-  int without_partner = 0;
+  int without_partner = 0, other_tasks = 0;
+  std::deque<UnitResult> kept;  // of which a part is compared
   const std::set<std::string> other_scenarios = OtherScenarios(first, second);
   const std::string refused =
       other_scenarios.empty()
@@ -250,24 +284,31 @@ absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunDat
     const auto other = std::find_if(others.begin(), others.end(),
                                     [&key = key](const auto& entry) { return entry.first == key; });
     if (other == others.end()) continue;
+    // A rate over other tasks is no comparison.
+    const Units mine = OnTasks(units, TasksOf(other->second), kept),
+                theirs = OnTasks(other->second, TasksOf(units), kept);
+    other_tasks +=
+        EpisodesIn(units) + EpisodesIn(other->second) - EpisodesIn(mine) - EpisodesIn(theirs);
+    if (mine.empty()) continue;
     const auto& [policy, severity, method, scenario] = key;
     StoreRow row =
-        MakeRow({{other->second, units}}, bootstrap_replicates,
+        MakeRow({{theirs, mine}}, bootstrap_replicates,
                 absl::StrCat("compare/", policy, "/L", severity, "/", method, "/", scenario));
     row.policy = policy, row.severity = severity, row.method = method, row.scenario = scenario;
     row.title = ScenarioTitle(units.front()->config.scenario);
     if (row.paired) {
       without_partner += row.n_first + row.n_second - 2 * row.paired->pairs;
-      if (scenario != "clean")
-        averages[{policy, severity, method}].push_back({other->second, units});
+      if (scenario != "clean") averages[{policy, severity, method}].push_back({theirs, mine});
     }
     result.rows.push_back(std::move(row));
   }
   if (result.rows.empty()) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        first.dir, " and ", second.dir,
-        " have no cell in common (policy, severity, scenario, method); nothing can be compared",
-        refused.empty() ? "" : ". ", refused));
+    return absl::FailedPreconditionError(
+        absl::StrCat(first.dir, " and ", second.dir,
+                     " have no cell in common (policy, severity, scenario, method, and a task of a "
+                     "suite); nothing "
+                     "can be compared",
+                     refused.empty() ? "" : ". ", refused));
   }
   for (const auto& [key, strata] : averages) {
     if (strata.size() < 2) continue;
@@ -281,6 +322,12 @@ absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunDat
   Correct(result.rows);
   result.notes = Notes(first, second);
   if (!refused.empty()) result.notes.insert(result.notes.begin(), refused);
+  if (other_tasks > 0) {
+    result.notes.push_back(
+        absl::StrCat(other_tasks,
+                     " episodes are of suites or tasks that the other store does not have with the "
+                     "same policy, severity, scenario and method, and left out."));
+  }
   if (without_partner > 0) {
     result.notes.push_back(absl::StrCat(without_partner,
                                         " episodes have no partner in the other store; paired "

@@ -11,8 +11,8 @@
 namespace robostress {
 
 // A cell that two run directories both have: equal policy name, severity, scenario and method,
-// suites together. An empty scenario is the average over those below it that are compared in the
-// same way, Clean excluded.
+// the tasks that both have, of all suites together. An empty scenario is the average over those
+// below it that are compared in the same way, Clean excluded.
 struct StoreRow {
   std::string policy, scenario, title, method;
   int severity = 5;

@@ -147,6 +147,30 @@ std::string UnpairedNoiseNote(const RunData& run) {
                       "alone, and a pair may differ by chance where no method acts.");
 }
 
+std::string ClippedCommandsNote(const RunData& run) {
+  constexpr double kNoticed = 0.25;  // the policies here: 0.002
+  struct Sum {
+    double clipped = 0;
+    int episodes = 0;
+  };
+  std::map<std::string, Sum> policies;
+  for (const UnitResult& unit : run.units) {
+    if (unit.config.method->method != "base") continue;
+    Sum& sum = policies[PolicyLabel(unit.config.policy)];
+    for (const EpisodeRow& row : unit.episodes)
+      if (row.clipped_share) sum.clipped += *row.clipped_share, ++sum.episodes;
+  }
+  std::vector<std::string> much;
+  for (const auto& [policy, sum] : policies) {
+    if (sum.clipped > kNoticed * sum.episodes)
+      much.push_back(absl::StrFormat("%.0f %% of %s's", 100 * sum.clipped / sum.episodes, policy));
+  }
+  if (much.empty()) return "";
+  return absl::StrCat("Clipped commands: ", absl::StrJoin(much, ", "),
+                      " numbers lay outside -1 to 1. A policy's actions are scaled to that range "
+                      "(1: 0.05 m or 0.5 rad in a control step); these have another unit.");
+}
+
 std::string LateAnswersNote(const RunData& run) {
   const auto doing = [](LateChunks mode) {
     switch (mode) {

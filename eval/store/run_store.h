@@ -62,6 +62,9 @@ bool PairsNoise(const UnitConfig& config);
 bool PairsNoise(const UnitResult& unit);  // what its server said of itself stands above
 // "" where every policy's sampling noise is a function of the episode; else what a table must say.
 std::string UnpairedNoiseNote(const RunData& run);
+// "" where at most a quarter of a policy's own commands lay outside the robot's range; else what a
+// table must say.
+std::string ClippedCommandsNote(const RunData& run);
 // "" where every answer is there at once; else what a table must say.
 std::string LateAnswersNote(const RunData& run);
 // Timings apart: one row per unit, summed over its timing.jsonl.

@@ -15,6 +15,7 @@
 #include "common/records/json_record.h"
 #include "common/suites.h"
 #include "common/unit/unit_directory.h"
+#include "common/unit/unit_plan.h"
 #include "eval/store/run_directory.h"
 
 namespace robostress {
@@ -34,7 +35,10 @@ class UnitReader {
     result_.finished = fs::exists(folder_ + "/DONE", error);
     const bool configured = ReadConfiguration();
     ReadEpisodes();
-    if (result_.finished && configured) CheckCompleteness();
+    if (result_.finished && configured) {
+      CheckCompleteness();
+      CheckIdentities();
+    }
     if (result_.finished) CheckSum();
     ReadExtras();
     FindScenario();
@@ -130,6 +134,32 @@ class UnitReader {
       if (tasks.count(row.task) == 0 || row.episode < 0 || row.episode >= unit.config.episodes) {
         Damage(absl::StrCat(file, ": task ", row.task, " episode ", row.episode,
                             " is none of its configuration"));
+      }
+    }
+  }
+
+  // That every line says of itself what the configuration says: files are copied by hand.
+  void CheckIdentities() {
+    const UnitConfig& config = result_.unit.config;
+    std::map<std::pair<int, int>, int> states;
+    for (const PlannedEpisode& planned : PlanEpisodes(config))
+      states[{planned.task, planned.episode}] = planned.initial_state;
+    for (const EpisodeRow& row : result_.unit.episodes) {
+      const auto state = states.find({row.task, row.episode});
+      if (state == states.end()) continue;  // said already
+      const EpisodeIdentity expected =
+          IdentityOf(config, {row.task, row.episode, state->second, false});
+      const json says = json::parse(row.record, nullptr, false), must(RecordJson(expected));
+      for (const auto& [key, value] : must.items()) {
+        const auto found = says.find(key);
+        if (found == says.end() || *found == value) continue;
+        if (key == "policy" && found->is_string() &&
+            PolicyLabel(found->get<std::string>()) == PolicyLabel(config.policy))
+          continue;
+        Damage(absl::StrCat(folder_, "/episodes.jsonl: the line of task ", row.task, ", episode ",
+                            row.episode, " says ", key, " ", found->dump(), ", config.yaml ",
+                            value.dump(), "; remove the unit's folder and run the sweep again"));
+        return;  // the first says enough
       }
     }
   }

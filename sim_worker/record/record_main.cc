@@ -45,6 +45,8 @@ constexpr char kExamples[] =
     "that "
     "number.\n";
 
+constexpr char kEpisodes[] = "episodes";
+
 struct CommandLine {
   std::string suite;  // empty: all
   std::vector<int> tasks;
@@ -130,7 +132,8 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   return jobs;
 }
 
-// What an episode is a function of beside its suite, task and draw.
+// What an episode is a function of beside its suite, task and draw; and how many a file was to
+// hold.
 std::string SettingsOf(const CommandLine& line) {
   nlohmann::ordered_json settings = {{"scenario", line.scenario},
                                      {"severity", line.severity},
@@ -141,7 +144,34 @@ std::string SettingsOf(const CommandLine& line) {
                                      {"execution_noise", line.record.execution_noise},
                                      {"pictures", line.plain ? "plain" : "original"}};
   if (!line.server.empty()) settings["policy"] = line.policy, settings["mix"] = line.mix;
+  settings[kEpisodes] = line.episodes;
   return settings.dump();
+}
+
+// Whether a file with the settings `before` may be replaced by one with `now`.
+absl::Status CheckReplaced(const std::string& path, const std::string& before,
+                           const std::string& now) {
+  auto old = nlohmann::ordered_json::parse(before, nullptr, false),
+       fresh = nlohmann::ordered_json::parse(now);
+  const auto take = [](nlohmann::ordered_json& settings) {
+    if (!settings.is_object() || !settings.contains(kEpisodes)) return 0;  // of version 0.2
+    const int episodes =
+        settings[kEpisodes].is_number_integer() ? settings[kEpisodes].get<int>() : 0;
+    settings.erase(kEpisodes);
+    return episodes;
+  };
+  const int held = take(old), asked = take(fresh);
+  if (old.is_discarded() || old != fresh) {
+    return absl::AlreadyExistsError(absl::StrCat(
+        path, " was recorded with ", before.empty() ? "settings that it does not name" : before,
+        ", now it is ", now, "; give another --out or --tag, or remove it"));
+  }
+  if (held > asked) {
+    return absl::AlreadyExistsError(
+        absl::StrCat(path, " was recorded with --episodes ", held, ", of which --episodes ", asked,
+                     " would leave a part; give another --out or --tag, or remove it"));
+  }
+  return absl::OkStatus();
 }
 
 // The settings with which a file was recorded; "" where it does not say.
@@ -169,12 +199,8 @@ class EpisodeFile {
         FindSuite(job.suite)->needs_libero);
     file.settings_ = settings;
     const std::string before = SettingsIn(file.path_, hdf5);
-    if (std::filesystem::exists(file.path_) && before != settings) {
-      return absl::AlreadyExistsError(
-          absl::StrCat(file.path_, " was recorded with ",
-                       before.empty() ? "settings that it does not name" : before, ", now it is ",
-                       settings, "; give another --out or --tag, or remove it"));
-    }
+    if (std::filesystem::exists(file.path_))
+      RS_RETURN_IF_ERROR(CheckReplaced(file.path_, before, settings));
     if (hdf5) {
       RS_ASSIGN_OR_RETURN(file.libero_, LiberoDemonstrationWriter::Create(
                                             file.path_, {.suite = job.suite,

@@ -71,7 +71,7 @@ TEST(EpisodeRow, EveryMeasureComesBack) {
                                                &r.lag_eta_sq,
                                                &r.seconds};
   };
-  for (std::optional<double>* field : fields(row)) *field = value += 0.1;
+  for (std::optional<double>* field : fields(row)) *field = value += 0.01;
   row.measured_steps = 40;
   row.masked_steps = 2;
   row.power_cycles = 1;
@@ -123,6 +123,11 @@ TEST(EpisodeRow, WrongFieldsAreNamed) {
   EXPECT_THAT(with("\"residual\":null", "\"residual\":\"0.3\""), HasSubstr("must be a number"));
   EXPECT_THAT(with("\"chunks\":0,", ""), HasSubstr("field chunks is missing"));
   EXPECT_THAT(with("{", "["), HasSubstr("not a JSON object"));
+  EXPECT_THAT(with("\"steps\":0", "\"steps\":-64"),
+              HasSubstr(":7: steps is -64, must be 0 or more"));
+  EXPECT_THAT(with("\"residual\":null", "\"residual\":-9.5"), HasSubstr("residual is -9.5"));
+  EXPECT_THAT(with("\"clipped_share\":null", "\"clipped_share\":55"),
+              HasSubstr("clipped_share is 55, must be 0 to 1"));
 }
 
 TEST(TimingRow, ComesBackAndForgivesStrangers) {

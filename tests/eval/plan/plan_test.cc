@@ -298,6 +298,16 @@ TEST(Plan, StepLimitsReachLiberosSuitesAndNoOthers) {
   EXPECT_THAT(std::string(ResolveUnit(unit).status().message()), HasSubstr("horizon is -1"));
 }
 
+TEST(Plan, APolicyOfAnotherServerMovesAPanda) {
+  SweepGrid grid;
+  grid.policies = {"theirs"};
+  grid.methods = {"base"};
+  grid.remote.dialect.name = "openpi";
+  grid.remote.action_dim = 8;
+  EXPECT_THAT(std::string(ResolveGrid(grid, PolicyHome::kElsewhere).status().message()),
+              HasSubstr("remote.action_dim is 8, and a Panda's command has 7 numbers"));
+}
+
 TEST(Plan, AFolderOfTasksIsASuite) {
   const std::filesystem::path folder =
       std::filesystem::path(::testing::TempDir()) / "plan" / "libero_goal_mine";

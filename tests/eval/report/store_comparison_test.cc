@@ -141,9 +141,10 @@ TEST(CompareStores, AFileOfOneNameThatHoldsAnotherScenarioIsNotCompared) {
   EXPECT_THAT(NotesOf(*comparison), HasSubstr("Not compared, because the file holds another "
                                               "scenario in the second: worn."));
   first.units.erase(first.units.begin(), first.units.begin() + 2);
-  EXPECT_THAT(std::string(CompareStores(first, second, 50).status().message()),
-              HasSubstr("no cell in common (policy, severity, scenario, method); nothing can be "
-                        "compared. Not compared, because the file"));
+  EXPECT_THAT(
+      std::string(CompareStores(first, second, 50).status().message()),
+      HasSubstr("and a task of a suite); nothing can be compared. Not compared, because the "
+                "file"));
 }
 
 TEST(CompareStores, StoresWithoutACommonCellAreRefused) {
@@ -153,6 +154,29 @@ TEST(CompareStores, StoresWithoutACommonCellAreRefused) {
   second.units = {SyntheticUnit("heavy_payload", "ours", {1})};
   EXPECT_THAT(std::string(CompareStores(first, second, 10).status().message()),
               HasSubstr("a and b have no cell in common"));
+}
+
+TEST(CompareStores, RatesOverOtherTasksAreNoComparison) {
+  const RunData first = Store("a", {0, 0, 1, 0}, {1, 1, 1, 0});
+  RunData other = Store("b", {1, 1, 1, 1}, {1, 1, 1, 1});
+  for (UnitResult& unit : other.units) unit.config.suite = "tabletop_long";
+  EXPECT_THAT(std::string(CompareStores(first, other, 10).status().message()),
+              HasSubstr("no cell in common"));
+  RunData both = Store("b", {1, 1, 1, 1}, {1, 1, 1, 1});  // the first suite and another
+  for (const UnitResult& unit : other.units) both.units.push_back(unit);
+  for (UnitResult& unit : both.units) {  // and one episode of another task
+    unit.episodes[0].task += 100;
+    unit.episodes[0].success = false;
+  }
+  const auto comparison = CompareStores(first, both, 10);
+  ASSERT_TRUE(comparison.ok()) << comparison.status();
+  const StoreRow& payload = comparison->rows[0];
+  ASSERT_TRUE(payload.paired.has_value());
+  EXPECT_EQ(payload.paired->pairs, 3);
+  EXPECT_EQ(payload.n_second, 3) << "neither the other suite's four nor the other task's";
+  EXPECT_EQ(payload.second, 1);
+  EXPECT_EQ(payload.n_first, 4);
+  EXPECT_THAT(NotesOf(*comparison), HasSubstr("episodes are of suites or tasks that the other"));
 }
 
 TEST(CompareStores, RendersWithoutAnythingFromOutside) {

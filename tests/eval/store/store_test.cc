@@ -106,6 +106,15 @@ TEST_F(Store, EverythingWrongIsListedAtOnce) {
                              HasSubstr("nano-ours-s0/episodes.jsonl")));
 }
 
+TEST_F(Store, LinesOfAnotherUnitAreNotReadAsThisOnes) {
+  for (const char* file : {"/episodes.jsonl", "/DONE"})
+    Write(std::string("a") + kCleanBase + file, Text(std::string("a") + kHeavyBase + file));
+  EXPECT_EQ(StoreCommand("verify", {"a"}), 3);
+  EXPECT_THAT(output_, AllOf(HasSubstr("clean-L5-nano-base-s0/episodes.jsonl: the line of task "),
+                             HasSubstr("says scenario \"heavy_payload\", config.yaml \"clean\"")));
+  EXPECT_EQ(Run("report", "'" + folder_ + "/a'"), 1) << output_;
+}
+
 TEST_F(Store, UnfinishedStoreIsNoErrorOfTheData) {
   fs::remove(folder_ + "/a" + kHeavyBase + "/DONE");
   EXPECT_EQ(StoreCommand("verify", {"a"}, " --json"), 1);
@@ -172,7 +181,8 @@ TEST_F(Store, ScenarioFilesAreComparedByWhatTheyHold) {
 TEST_F(Store, RunsOfATaskFolderAreReadWithAndWithoutIt) {
   const std::string tasks = folder_ + "/my_tasks";
   fs::create_directories(tasks);
-  for (const char* task : {"my_tasks/one.bddl", "my_tasks/two.bddl"}) Write(task, "");
+  for (const char* name : {"one.bddl", "one.init", "two.bddl", "two.init"})
+    Write(absl::StrCat("my_tasks/", name), "");
   ASSERT_EQ(Run("sweep", "--libero-tasks '" + tasks +
                              "' --libero-root here --robosuite-root here --episodes 2 --scenarios "
                              "clean,heavy_payload --policies expert --methods base --no-report" +

@@ -187,17 +187,20 @@ TEST(LiberoRecord, AFileOfOtherSettingsIsNotWrittenOver) {
   SKIP_WITHOUT_SHARED_DATA();
   const fs::path folder = fs::path(::testing::TempDir()) / "libero_record_settings";
   fs::remove_all(folder);
-  const auto record = [&](const std::string& more) {
+  const auto record = [&](const std::string& more, int episodes = 1) {
     return RunProgram(
         ROBOSTRESS_RECORD,
-        absl::StrCat("--suite libero_object --tasks 0 --episodes 1 --plain-pictures ",
+        absl::StrCat("--suite libero_object --tasks 0 --episodes ", episodes, " --plain-pictures ",
                      "--image-size 16 --libero-root ", LiberoTree(), " --robosuite-root ",
                      RobosuiteTree(), " --out ", folder.string(), " ", more));
   };
   for (const std::string form : {"shards", "hdf5"}) {
-    const auto [output, code] = record("--format " + form);
+    const auto [output, code] = record("--format " + form, 2);
     if (absl::StrContains(output, "EGL")) GTEST_SKIP() << output;
     ASSERT_EQ(code, 0) << output;
+    const auto [shorter, fewer] = record("--format " + form);
+    EXPECT_EQ(fewer, 1) << shorter;
+    EXPECT_THAT(shorter, HasSubstr("--episodes 2, of which --episodes 1 would leave a part"));
     const auto [refused, refusal] = record("--scenario aged_joint_uniform --format " + form);
     EXPECT_EQ(refusal, 1) << refused;
     EXPECT_THAT(refused, AllOf(HasSubstr("was recorded with {\"scenario\":\"clean\""),
