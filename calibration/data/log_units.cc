@@ -33,6 +33,18 @@ std::string UnitOfRatio(double ratio, double tolerance) {
   return "";
 }
 
+std::string FaultOfVelocity(double ratio, double tolerance) {
+  if (std::string unit = UnitOfRatio(ratio, tolerance); !unit.empty())
+    return "its numbers are " + unit;
+  if (ratio > 0 && IsNear(ratio, 30 / M_PI, tolerance))
+    return "its numbers are " + Mend("turns a minute", 30 / M_PI);
+  if (ratio < 0 && IsNear(-ratio, 1, tolerance))
+    return "it counts the other way: multiply them by -1";
+  if (ratio > 0 && IsNear(ratio, 1, 1)) return "";
+  return "that is no velocity of this joint's motor at the joint: another channel, or a gear "
+         "between";
+}
+
 std::string UnitOfClock(double ratio, double tolerance) {
   if (IsNear(ratio, 1e3, tolerance)) return Mend("milliseconds", 1e3);
   if (IsNear(ratio, 1e6, tolerance)) return Mend("microseconds", 1e6);

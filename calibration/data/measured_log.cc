@@ -27,6 +27,7 @@ constexpr double kGap = 5;               // in dt; more is refused
 constexpr double kRateError = 0.02;      // of the declared rate
 constexpr double kBesideATurn = 0.5;     // [rad] a row, of motion while an angle wraps
 constexpr double kSpanTolerance = 0.3;   // of a unit, from spans of a command and its answer
+constexpr double kFollows = 0.5;         // squared correlation of a velocity and a derivative
 constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
 constexpr double kSaturated = 0.02;      // share of rows at the largest torque
 
@@ -295,10 +296,12 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.ddq = fit.second;
   if (joint.velocity == VelocitySide::kMotor) {
     const double gain = GainOver(record.dq, logged_velocity);
-    if (const std::string unit = UnitOfRatio(gain, kGainTolerance); !unit.empty())
+    // A joint that hardly moves has a gain of noise.
+    const bool follows = gain * GainOver(logged_velocity, record.dq) > kFollows;
+    if (const std::string fault = FaultOfVelocity(gain, kGainTolerance); follows && !fault.empty())
       return absl::InvalidArgumentError(absl::StrCat(file, ": dq_", joint.name, " is ", gain,
                                                      " times the derivative of q_", joint.name,
-                                                     "; its numbers are ", unit));
+                                                     "; ", fault));
     TakeVelocity(logged_velocity, dt, record);
     record.velocity_of_motor = true;
   } else if (!logged_velocity.empty()) {

@@ -257,6 +257,10 @@ TEST_F(LogGates, RefusesAMotorsVelocityInDegrees) {
   EXPECT_TRUE(Read(with_velocity(1.3)).ok()) << "a transmission lies between";
   EXPECT_THAT(Refusal(with_velocity(180 / M_PI)),
               AllOf(HasSubstr("dq_hinge"), HasSubstr("degrees: multiply them by 0.0174533")));
+  EXPECT_THAT(Refusal(with_velocity(30 / M_PI)),
+              HasSubstr("turns a minute: multiply them by 0.10472"));
+  EXPECT_THAT(Refusal(with_velocity(-1)), HasSubstr("counts the other way: multiply them by -1"));
+  EXPECT_THAT(Refusal(with_velocity(7)), HasSubstr("no velocity of this joint's motor"));
 }
 
 TEST_F(LogGates, RefusesAConstantChannelAndAMotionWithinTheNoise) {
