@@ -16,13 +16,16 @@ namespace {
 constexpr double kBeyondStops = 2;        // times the travel between them
 constexpr double kRatioTolerance = 0.06;  // of asked torque over logged torque
 constexpr double kCorrelated = 0.95;      // asked and logged torque
+constexpr double kOtherWay = 0.3;         // -torque over what the model asks for the motion
+constexpr double kFarTooMuch = 100;       // torque over the same
 constexpr double kEnergy = 8;             // kinetic energy over the work that made it
 constexpr double kSpan_s = 0.1;           // over which they are compared
-constexpr double kTurning = 300;          // [m/s^2] towards the axis, 30 g
-constexpr double kSliding = 20;           // [m/s]
-constexpr double kTurns = 4 * M_PI;       // [rad] less is not looked at for degrees by gravity
-constexpr double kClearlyBetter = 0.2;    // residual as degrees over residual as radians
-constexpr double kDegree = M_PI / 180;    // [rad]
+constexpr int kFewestSpans = 20;
+constexpr double kTurning = 300;        // [m/s^2] towards the axis, 30 g
+constexpr double kSliding = 20;         // [m/s]
+constexpr double kTurns = 4 * M_PI;     // [rad] less is not looked at for degrees by gravity
+constexpr double kClearlyBetter = 0.2;  // residual as degrees over residual as radians
+constexpr double kDegree = M_PI / 180;  // [rad]
 
 // One joint in one log.
 class Units {
@@ -37,8 +40,8 @@ class Units {
 
   // What is impossible in it; empty: nothing is.
   std::string Impossible() const {
-    for (const auto find : {&Units::BeyondStops, &Units::TorqueLogged, &Units::Energy,
-                            &Units::Speed, &Units::Gravity}) {
+    for (const auto find : {&Units::BeyondStops, &Units::TorqueLogged, &Units::Drive,
+                            &Units::Energy, &Units::Speed, &Units::Gravity}) {
       if (std::string found = (this->*find)(); !found.empty()) return found;
     }
     return "";
@@ -95,6 +98,39 @@ class Units {
 
   // Torque of the drive that a log holds [Nm]; empty: none does.
   const std::vector<double>& drive() const { return record().tau; }
+
+  // The drive's torque over what the model asks for the motion, both without what dry friction,
+  // damping and an offset explain.
+  std::string Drive() const {
+    const JointRecord& r = record();
+    if (drive().empty() || mass_is_free_ || model_.mass_scale != 1) return "";
+    const std::vector<PlantRow> rows = plant_.Rows(index_, log_);
+    const double slow = std::max(2 * r.start_noise_dq, 1e-9);
+    // Means over a span: an acceleration is noise from row to row.
+    const int span = std::max(1, static_cast<int>(std::lround(kSpan_s / log_.dt)));
+    const int spans = log_.rows / span;
+    if (spans < kFewestSpans) return "";
+    Eigen::MatrixXd terms = Eigen::MatrixXd::Zero(spans, 3);
+    Eigen::MatrixXd torques = Eigen::MatrixXd::Zero(spans, 2);  // driven, asked by the model
+    for (int k = 0; k < spans * span; ++k) {
+      const PlantRow& row = At(rows, k);
+      terms.row(k / span) += Eigen::RowVector3d(r.dq[k], std::tanh(r.dq[k] / slow), 1);
+      torques.row(k / span) +=
+          Eigen::RowVector2d(model_.torque_gain * drive()[k],
+                             row.inertia * r.ddq[k] + GravityAt(row, r.q_smooth[k]) + row.coupling);
+    }
+    const Eigen::MatrixXd left = torques - terms * terms.colPivHouseholderQr().solve(torques);
+    const double both = left.col(0).dot(left.col(1)), asked = left.col(1).squaredNorm();
+    const double gain = both / asked;
+    if (gain > -kOtherWay && gain < kFarTooMuch) return "";
+    return absl::StrFormat(
+        "its torque is %.4g times what its motion asks of the model's masses and gravity; %s, or "
+        "the model's %s wrong",
+        gain,
+        gain < 0 ? "if it counts the other way multiply it by -1"
+                 : "if its numbers are thousandths multiply them by 0.001",
+        gain < 0 ? "axis is" : "masses are");
+  }
 
   std::string Energy() const {
     const JointRecord& r = record();

@@ -116,15 +116,17 @@ class Pendulum : public testing::Test {
                                  "0.01 0.01\"/></body></worldbody></mujoco>"))
                     .ok());
   }
-  // amplitude [rad], frequency [Hz]; what is written is `unit` times the angle.
-  absl::Status Gates(double amplitude, double frequency, double unit, double friction = 0.1) {
+  // amplitude [rad], frequency [Hz]; what is written is `unit` times the angle and `torque` times
+  // the torque.
+  absl::Status Gates(double amplitude, double frequency, double unit, double friction = 0.1,
+                     double torque = 1) {
     const double w = 2 * M_PI * frequency, I = 0.01 + 0.09, mgl = 9.81 * 0.3;
     std::string text = "t,q_hinge,tau_hinge\n";
     for (int k = 0; k < 4000; ++k) {
       const double t = k / 200.0, q = amplitude * std::sin(w * t),
                    v = amplitude * w * std::cos(w * t);
       const double tau = -I * w * w * q + mgl * std::sin(q) + friction * (v > 0 ? 1 : -1);
-      absl::StrAppend(&text, t, ",", unit * q, ",", tau, "\n");
+      absl::StrAppend(&text, t, ",", unit * q, ",", torque * tau, "\n");
     }
     RigLog log;
     log.file = folder_ + "/log.csv";
@@ -196,6 +198,17 @@ TEST_F(Pendulum, PositionsBeyondTheModelsStopsAreRefused) {
   EXPECT_TRUE(Gates(1.9, 0.2, 1).ok());
   EXPECT_THAT(std::string(Gates(0.5, 0.05, kDegreesOfRadian).message()),
               HasSubstr("its stops in the model are 4 rad apart"));
+}
+
+TEST_F(Pendulum, TorqueThatCountsTheOtherWayOrInThousandthsIsRefused) {
+  EXPECT_THAT(std::string(Gates(0.5, 0.5, 1, 0.3, -1).message()),
+              HasSubstr("its torque is -1.002 times what its motion asks of the model's masses and "
+                        "gravity; if it counts the other way multiply it by -1"));
+  EXPECT_THAT(std::string(Gates(0.5, 0.5, 1, 0.3, 1000).message()),
+              HasSubstr("thousandths multiply them by 0.001"));
+  for (const double torque : {0.5, 1.0, 3.0, 30.0}) {  // a model's masses may be this wrong
+    EXPECT_TRUE(Gates(0.5, 0.5, 1, 0.3, torque).ok()) << Gates(0.5, 0.5, 1, 0.3, torque);
+  }
 }
 
 }  // namespace
