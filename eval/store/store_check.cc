@@ -12,6 +12,7 @@
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/json_text.h"
+#include "common/records/episode_recording.h"
 #include "common/status_macros.h"
 #include "eval/store/played_alike.h"
 #include "eval/store/run_directory.h"
@@ -161,6 +162,39 @@ std::string StoredUnit::Fingerprint() const {
                       TextAt(inspection.unit.provenance, "model_hash"));
 }
 
+namespace {
+
+// Of a unit with a folder of recorded episodes (`sweep --record-episodes`): that of every episode
+// is there, can be read and has the steps that its line says.
+void CheckRecordings(const std::string& folder, UnitInspection& inspection) {
+  std::error_code ignored;
+  if (!std::filesystem::is_directory(folder + "/episodes", ignored)) return;
+  int faulty = 0;
+  std::string first;
+  for (const EpisodeRow& row : inspection.unit.episodes) {
+    if (row.steps == 0) continue;
+    const std::string file =
+        absl::StrCat(folder, "/episodes/task", row.task, "_episode", row.episode, ".safetensors");
+    const absl::StatusOr<EpisodeRecording> recording = ReadEpisodeRecording(file);
+    std::string fault;
+    if (!recording.ok()) {
+      fault = std::string(recording.status().message());
+    } else if (static_cast<int>(recording->steps.size()) != row.steps ||
+               recording->task != row.task || recording->episode != row.episode) {
+      fault = absl::StrCat(file, ": task ", recording->task, ", episode ", recording->episode, ", ",
+                           recording->steps.size(), " steps; episodes.jsonl says task ", row.task,
+                           ", episode ", row.episode, ", ", row.steps, " steps");
+    }
+    if (!fault.empty() && ++faulty == 1) first = fault;
+  }
+  if (faulty == 0) return;
+  inspection.damage.push_back(absl::StrCat(
+      first, faulty == 1 ? "" : absl::StrCat(" (and ", faulty - 1, " more recorded episodes)"),
+      "; the recording cannot be exported: restore it, or remove the unit's folder and run again"));
+}
+
+}  // namespace
+
 absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores) {
   StoreContents contents;
   UnitTextReader texts;
@@ -179,6 +213,7 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
         models.push_back({PolicyLabel(unit.config.policy), TextAt(unit.provenance, "model_hash"),
                           absl::StrCat(store, "/", unit.id)});
       }
+      if (inspection.finished && unit.config.robot == "panda") CheckRecordings(folder, inspection);
       if (inspection.finished && inspection.damage.empty())
         alike.Add(unit.config, absl::StrCat(store, "/", unit.id));
       AddUnit(store, std::move(inspection), contents);

@@ -61,6 +61,24 @@ TEST_F(Export, RecordingChangesNoRow) {
                                   "episodes"));
 }
 
+TEST_F(Export, VerifyReadsTheRecordings) {
+  const std::string run = root_ + "/rotten";
+  fs::remove_all(run);
+  fs::copy(root_ + "/run", run, fs::copy_options::recursive);
+  const auto verify = [&] { return RunProgram(BIN_DIR "/robostress-store", "verify " + run); };
+  EXPECT_EQ(verify().second, 0) << verify().first;
+  const std::string episodes = run + fs::path(kUnit).string().substr(4) + "/episodes";
+  fs::copy_file(episodes + "/task3_episode1.safetensors", episodes + "/task3_episode0.safetensors",
+                fs::copy_options::overwrite_existing);
+  EXPECT_EQ(verify().second, 3);
+  EXPECT_THAT(verify().first, HasSubstr("task3_episode0.safetensors: task 3, episode 1, "));
+  fs::resize_file(episodes + "/task0_episode0.safetensors", 20000);
+  fs::remove(episodes + "/task0_episode1.safetensors");
+  EXPECT_EQ(verify().second, 3);
+  EXPECT_THAT(verify().first, testing::AllOf(HasSubstr("task0_episode0.safetensors"),
+                                             HasSubstr("(and 2 more recorded episodes)")));
+}
+
 TEST_F(Export, LerobotsLibrariesReadTheEpisodes) {
   const std::string set = root_ + "/lerobot";
   const auto [said, code] = Write("--lerobot " + set);
