@@ -178,13 +178,42 @@ std::string UnitDirectory::RowsText() const {
   return text;
 }
 
+namespace {
+
+// No table mixes weights under one name: said before hours of a run that could not be read. One
+// finished unit of the policy beside `path` says for all.
+absl::Status CheckWithFinishedUnits(const std::string& path, const std::string& policy,
+                                    const std::string& model_hash) {
+  const fs::path units = fs::path(path).parent_path();
+  if (units.filename() != "units" || model_hash.empty()) return absl::OkStatus();
+  std::error_code ignored;
+  for (const auto& unit : fs::directory_iterator(units, ignored)) {
+    if (!fs::exists(unit.path() / "DONE", ignored)) continue;
+    const json finished = json::parse(
+        ReadFile((unit.path() / "provenance.json").string()).value_or(""), nullptr, false);
+    const std::string played = TextAt(finished, "model_hash");
+    if (TextAt(finished, "policy") != policy || played.empty()) continue;
+    if (played == model_hash) return absl::OkStatus();
+    return absl::FailedPreconditionError(absl::StrCat(
+        unit.path().string(), " was played with weights ", played.substr(0, 12), " of policy '",
+        policy, "', which now has ", model_hash.substr(0, 12),
+        "; a run has one model under a name: give the new weights another name or --out"));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
 absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::string& model_hash,
                                        const std::map<std::string, std::string>& notes) {
   const std::string file = File("provenance.json");
   json wanted = notes;
   wanted.update({{"policy", policy}, {"model_hash", model_hash}, {"version", BuildVersion()}});
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
-  if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
+  if (text.empty() || rows_.empty()) {
+    RS_RETURN_IF_ERROR(CheckWithFinishedUnits(path_, policy, model_hash));
+    return WriteFileAtomically(file, wanted.dump() + "\n");
+  }
   const json present = json::parse(text, nullptr, false);
   for (const auto& [key, what] : {std::pair{kScenarioSha256, "a scenario file"},
                                   {kLiberoTasksSha256, "LIBERO tasks"},

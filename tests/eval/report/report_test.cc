@@ -120,6 +120,19 @@ TEST(ReportPage, RefersToNothingOutsideItself) {
   EXPECT_THAT(rest, HasSubstr("runs/&lt;small&gt;"));
 }
 
+TEST(ClippedCommandsNote, NamesAPolicyWhoseActionsHaveAnotherUnit) {
+  RunData run;
+  run.units = {SyntheticUnit("heavy_payload", "base", {1, 0}),
+               SyntheticUnit("heavy_payload", "gain", {1, 0})};
+  for (EpisodeRow& row : run.units[0].episodes) row.clipped_share = 0.002;
+  for (EpisodeRow& row : run.units[1].episodes) row.clipped_share = 0.9;  // a method pushes
+  EXPECT_EQ(ClippedCommandsNote(run), "");
+  for (EpisodeRow& row : run.units[0].episodes) row.clipped_share = 0.94;
+  EXPECT_THAT(ClippedCommandsNote(run),
+              ::testing::HasSubstr("94 % of nano's numbers lay outside -1 to 1"));
+  EXPECT_EQ(ClippedCommandsNote(RunData()), "");
+}
+
 TEST(ReportPage, WarnsWhenThePolicyIsTooWeakForAClaim) {
   RunData run = SmallRun();
   EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}),

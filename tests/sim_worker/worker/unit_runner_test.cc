@@ -392,6 +392,16 @@ TEST_F(UnitRunnerTest, RefusesToContinueWithOtherWeights) {
               HasSubstr("was begun with weights 0123abcd, policy 'fake' now has ffff"));
 }
 
+TEST_F(UnitRunnerTest, OtherWeightsThanThoseOfAFinishedUnitAreRefusedBeforeAnythingIsPlayed) {
+  ASSERT_TRUE(Run("units/a").ok());
+  FakeServerOptions other = ServerOptions();
+  other.spec.model_hash = "ffff";
+  server = std::make_unique<FakePolicyServer>(other);
+  EXPECT_THAT(std::string(Run("units/b").message()),
+              HasSubstr("a was played with weights 0123abcd of policy 'fake', which now has ffff"));
+  EXPECT_TRUE(Run("elsewhere/b").ok()) << "no run directory";
+}
+
 TEST_F(UnitRunnerTest, SecondWorkerOnTheSameDirectoryIsRefused) {
   absl::Status inner;
   SimUnitOptions options;
