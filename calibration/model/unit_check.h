@@ -14,7 +14,8 @@ namespace robostress::calibration {
 // file, joint, what is impossible and the factor that mends it:
 // - a joint travels farther than between its stops;
 // - the servo asks for 180 / pi times the torque that was logged;
-// - the drive's torque is more than 100 times, or the opposite of, what the motion asks of the model;
+// - the drive's torque is more than 100 times, or the opposite of, what the motion asks of the
+// model;
 // - a link gains more kinetic energy than its drive and gravity have given it;
 // - a link that gravity pulls at turns at accelerations, or a slide at speeds, that no robot has;
 // - gravity acts as it does on the positions taken as degrees, and not as they stand.
