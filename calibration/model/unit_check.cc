@@ -16,7 +16,9 @@ namespace {
 constexpr double kBeyondStops = 2;        // times the travel between them
 constexpr double kRatioTolerance = 0.06;  // of asked torque over logged torque
 constexpr double kCorrelated = 0.95;      // asked and logged torque
-constexpr double kOtherWay = 0.3;         // -torque over what the model asks for the motion
+constexpr double kFollows = 0.8;          // correlation of that torque and the model's
+constexpr double kOtherWay = 0.5;         // -torque over what the model asks for the motion
+constexpr double kShare = 0.25;           // of the torque's squares: not friction's
 constexpr double kFarTooMuch = 100;       // torque over the same
 constexpr double kEnergy = 8;             // kinetic energy over the work that made it
 constexpr double kSpan_s = 0.1;           // over which they are compared
@@ -26,6 +28,29 @@ constexpr double kSliding = 20;         // [m/s]
 constexpr double kTurns = 4 * M_PI;     // [rad] less is not looked at for degrees by gravity
 constexpr double kClearlyBetter = 0.2;  // residual as degrees over residual as radians
 constexpr double kDegree = M_PI / 180;  // [rad]
+
+// Of one joint over its logs: products of the drive's torque and what the model asks, and the
+// squares of the drive's torque about its mean, [Nm^2] times a factor.
+struct DriveSums {
+  double both = 0, driven = 0, asked = 0, varying = 0;
+  int logs = 0;
+
+  // A torque that counts the other way, or has another unit; empty: neither. Where friction is most
+  // of the torque, what the model leaves out decides the rest.
+  std::string Impossible() const {
+    if (!(std::abs(both) > kFollows * std::sqrt(driven * asked)) || driven < kShare * varying)
+      return "";
+    const double gain = both / asked;
+    if (gain > -kOtherWay && gain < kFarTooMuch) return "";
+    return absl::StrFormat(
+        "over %d logs its torque is %.4g times what its motion asks of the model's masses and "
+        "gravity; %s, or the model's %s wrong",
+        logs, gain,
+        gain < 0 ? "if it counts the other way multiply it by -1"
+                 : "if its numbers are thousandths multiply them by 0.001",
+        gain < 0 ? "axis is" : "masses are");
+  }
+};
 
 // One joint in one log.
 class Units {
@@ -40,11 +65,38 @@ class Units {
 
   // What is impossible in it; empty: nothing is.
   std::string Impossible() const {
-    for (const auto find : {&Units::BeyondStops, &Units::TorqueLogged, &Units::Drive,
-                            &Units::Energy, &Units::Speed, &Units::Gravity}) {
+    for (const auto find : {&Units::BeyondStops, &Units::TorqueLogged, &Units::Energy,
+                            &Units::Speed, &Units::Gravity}) {
       if (std::string found = (this->*find)(); !found.empty()) return found;
     }
     return "";
+  }
+
+  // Adds the drive's torque and what the model asks for the motion, both without what dry friction,
+  // damping and an offset explain; means over a span, for an acceleration is noise from row to row.
+  void AddDrive(DriveSums& sums) const {
+    const JointRecord& r = record();
+    const int span = std::max(1, static_cast<int>(std::lround(kSpan_s / log_.dt)));
+    const int spans = log_.rows / span;
+    if (drive().empty() || mass_is_free_ || model_.mass_scale != 1 || spans < kFewestSpans) return;
+    const std::vector<PlantRow> rows = plant_.Rows(index_, log_);
+    const double slow = std::max(2 * r.start_noise_dq, 1e-9);
+    Eigen::MatrixXd terms = Eigen::MatrixXd::Zero(spans, 3);
+    Eigen::MatrixXd torques = Eigen::MatrixXd::Zero(spans, 2);
+    for (int k = 0; k < spans * span; ++k) {
+      const PlantRow& row = At(rows, k);
+      terms.row(k / span) += Eigen::RowVector3d(r.dq[k], std::tanh(r.dq[k] / slow), 1);
+      torques.row(k / span) +=
+          Eigen::RowVector2d(model_.torque_gain * drive()[k],
+                             row.inertia * r.ddq[k] + GravityAt(row, r.q_smooth[k]) + row.coupling);
+    }
+    const Eigen::MatrixXd left = torques - terms * terms.colPivHouseholderQr().solve(torques);
+    const Eigen::VectorXd varying = torques.col(0).array() - torques.col(0).mean();
+    sums.both += left.col(0).dot(left.col(1));
+    sums.driven += left.col(0).squaredNorm();
+    sums.asked += left.col(1).squaredNorm();
+    sums.varying += varying.squaredNorm();
+    ++sums.logs;
   }
 
  private:
@@ -98,39 +150,6 @@ class Units {
 
   // Torque of the drive that a log holds [Nm]; empty: none does.
   const std::vector<double>& drive() const { return record().tau; }
-
-  // The drive's torque over what the model asks for the motion, both without what dry friction,
-  // damping and an offset explain.
-  std::string Drive() const {
-    const JointRecord& r = record();
-    if (drive().empty() || mass_is_free_ || model_.mass_scale != 1) return "";
-    const std::vector<PlantRow> rows = plant_.Rows(index_, log_);
-    const double slow = std::max(2 * r.start_noise_dq, 1e-9);
-    // Means over a span: an acceleration is noise from row to row.
-    const int span = std::max(1, static_cast<int>(std::lround(kSpan_s / log_.dt)));
-    const int spans = log_.rows / span;
-    if (spans < kFewestSpans) return "";
-    Eigen::MatrixXd terms = Eigen::MatrixXd::Zero(spans, 3);
-    Eigen::MatrixXd torques = Eigen::MatrixXd::Zero(spans, 2);  // driven, asked by the model
-    for (int k = 0; k < spans * span; ++k) {
-      const PlantRow& row = At(rows, k);
-      terms.row(k / span) += Eigen::RowVector3d(r.dq[k], std::tanh(r.dq[k] / slow), 1);
-      torques.row(k / span) +=
-          Eigen::RowVector2d(model_.torque_gain * drive()[k],
-                             row.inertia * r.ddq[k] + GravityAt(row, r.q_smooth[k]) + row.coupling);
-    }
-    const Eigen::MatrixXd left = torques - terms * terms.colPivHouseholderQr().solve(torques);
-    const double both = left.col(0).dot(left.col(1)), asked = left.col(1).squaredNorm();
-    const double gain = both / asked;
-    if (gain > -kOtherWay && gain < kFarTooMuch) return "";
-    return absl::StrFormat(
-        "its torque is %.4g times what its motion asks of the model's masses and gravity; %s, or "
-        "the model's %s wrong",
-        gain,
-        gain < 0 ? "if it counts the other way multiply it by -1"
-                 : "if its numbers are thousandths multiply them by 0.001",
-        gain < 0 ? "axis is" : "masses are");
-  }
 
   std::string Energy() const {
     const JointRecord& r = record();
@@ -258,6 +277,7 @@ absl::StatusOr<std::vector<std::string>> CheckUnits(const Rig& rig, const Plant&
     const RigJoint& joint = rig.joints[i];
     RS_ASSIGN_OR_RETURN(const JointModel declared, DeclaredModel(rig, plant, i));
     bool checked = false;
+    DriveSums sums;
     for (const MeasuredLog& log : logs) {
       absl::StatusOr<JointModel> model = WithOverrides(declared, joint.name, log.overrides);
       if (!model.ok())
@@ -269,9 +289,14 @@ absl::StatusOr<std::vector<std::string>> CheckUnits(const Rig& rig, const Plant&
       if (const std::string found = units.Impossible(); !found.empty())
         return absl::InvalidArgumentError(
             absl::StrCat(log.file, ": joint '", joint.name, "': ", found));
+      units.AddDrive(sums);
       if (checked) continue;
       const MeasuredLog other = InUnitsOf(log, i, plant.hinge(i) ? 1 / kDegree : 1000);
       checked = !Units(plant, other, i, *std::move(model), free).Impossible().empty();
+    }
+    if (const std::string found = sums.Impossible(); !found.empty()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(rig.file, ": joint '", joint.name, "': ", found));
     }
     if (!checked) unchecked.push_back(joint.name);
   }
