@@ -89,7 +89,14 @@ absl::Status ReadDb3(const std::string& path, const std::string& name, bool mess
 // SQLite reads files only: a packed one is unpacked into the folder for temporary files first.
 absl::Status ReadPackedDb3(const std::string& path, bool messages_packed, RowStream* rows) {
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<ByteSource> source, ByteSource::Open(path));
-  std::string name = (fs::temp_directory_path() / "robostress_bag_XXXXXX").string();
+  std::error_code error;
+  const fs::path folder = fs::temp_directory_path(error);
+  if (error) {
+    return absl::UnavailableError(absl::StrCat("cannot unpack ", path,
+                                               ": no folder for temporary files: ", error.message(),
+                                               "; set TMPDIR to one"));
+  }
+  std::string name = (folder / "robostress_bag_XXXXXX").string();
   const int handle = mkstemp(name.data());
   if (handle < 0)
     return absl::UnavailableError(

@@ -140,9 +140,11 @@ def against_base(tables, conditions):
             continue
         mine, other = tables[method], tables["base"]
         p_values = holm([sign_flip_p(differences(mine, other, keys)[0]) for keys in conditions.values()])
-        row(f"{method} - base", ["all", cell(mine, other, [k for keys in conditions.values() for k in keys])])
+        if len(conditions) > 1:
+            row(f"{method} - base", ["all", cell(mine, other, [k for keys in conditions.values() for k in keys])])
         for (name, keys), p in zip(conditions.items(), p_values):
-            row(f"{method} - base", [name, cell(mine, other, keys, False), f"by Holm over {len(conditions)} {p:.2g}"])
+            note = f"by Holm over {len(conditions)} {p:.2g}" if len(conditions) > 1 else f"p {p:.2g}"
+            row(f"{method} - base", [name, cell(mine, other, keys, False), note])
 
 
 def noise_table(folder, methods):

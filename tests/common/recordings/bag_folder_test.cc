@@ -176,6 +176,12 @@ TEST(Db3ReaderTest, ReadsAFileThatIsPackedAsAWholeAndLeavesNoCopy) {
       Db3(folder + "/x.db3", "sensor_msgs/msg/JointState", {JointStateBytes({9, {"a"}, {0.25}})});
   std::ifstream file(path, std::ios::binary);
   Write(path + ".zstd", Packed("zstd", {std::istreambuf_iterator<char>(file), {}}));
+  const char* before = std::getenv("TMPDIR");
+  const std::string kept = before == nullptr ? "" : before;
+  setenv("TMPDIR", "/nonexistent", 1);
+  EXPECT_THAT(std::string(Collect(path + ".zstd").status().message()),
+              testing::HasSubstr("no folder for temporary files"));
+  before == nullptr ? unsetenv("TMPDIR") : setenv("TMPDIR", kept.c_str(), 1);
   const auto rows = Collect(path + ".zstd");
   ASSERT_TRUE(rows.ok()) << rows.status();
   EXPECT_EQ(rows->rows.size(), 1);
