@@ -16,7 +16,8 @@ using Eigen::Vector3d;
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kWayStep = 0.01;  // [m] between the points of a way that are looked at
+constexpr double kWayStep = 0.01;   // [m] between the points of a way that are looked at
+constexpr double kParallel = 1e-6;  // the cross product of directions that count as one
 
 Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> Frame(const double* values) {
   return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(values);
@@ -201,12 +202,27 @@ double ExpertView::TopAlong(const Vector3d& from, const Vector3d& to, double rad
   return top;
 }
 
+bool ExpertView::Overlaps(int geom, const Vector3d& centre, const Vector3d& half) const {
+  const Vector3d apart = Geom(geom) - centre;
+  const auto separated = [&](const Vector3d& axis) {
+    return std::abs(apart.dot(axis)) >= half.dot(axis.cwiseAbs()) + Support(geom, axis);
+  };
+  const Matrix3d frame = Frame(data_.geom_xmat + 9 * geom);
+  for (int i = 0; i < 3; ++i) {
+    if (separated(Vector3d::Unit(i)) || separated(frame.col(i))) return false;
+  }
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      const Vector3d axis = Vector3d::Unit(i).cross(frame.col(k));
+      if (axis.norm() > kParallel && separated(axis.normalized())) return false;
+    }
+  }
+  return true;
+}
+
 bool ExpertView::Blocked(const Vector3d& centre, const Vector3d& half, int except) const {
   return std::any_of(obstacles_.begin(), obstacles_.end(), [&](int geom) {
-    if (!IsObstacle(geom, except)) return false;
-    const Extent extent = ExtentOf(geom);
-    return ((extent.low - centre - half).array() < 0).all() &&
-           ((centre - half - extent.high).array() < 0).all();
+    return IsObstacle(geom, except) && Overlaps(geom, centre, half);
   });
 }
 

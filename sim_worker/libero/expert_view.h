@@ -65,6 +65,8 @@ class ExpertView {
  private:
   std::array<bool, 2> Touches(int body) const;
   bool IsObstacle(int geom, int except) const;
+  // By separating axes: exact for boxes, whatever way they are turned.
+  bool Overlaps(int geom, const Eigen::Vector3d& centre, const Eigen::Vector3d& half) const;
 
   const LiberoSimTask& task_;
   const mjModel& model_;

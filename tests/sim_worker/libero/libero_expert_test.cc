@@ -57,6 +57,23 @@ TEST(LiberoExpert, SolvesTheFortyTasks) {
   EXPECT_LE(failed.size(), 3u) << ::testing::PrintToString(failed);
 }
 
+// A drawer that stands askew is longer and wider along the world's axes than it is: seen so, there
+// is room nowhere in it.
+TEST(LiberoExpert, FindsRoomInADrawerThatStandsAskew) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const auto task = Make("libero_spatial", 4);
+  ASSERT_NE(task, nullptr);
+  for (const int state : {10, 15, 34}) EXPECT_TRUE(Solves(*task, state)) << state;
+  ASSERT_TRUE(task->Reset(10).ok());
+  const ExpertView view(*task);
+  const int bowl = task->scene().objects.at("akita_black_bowl_1").body;
+  const Eigen::Vector3d half(0.008, 0.008, 0.02);
+  const Eigen::Vector3d inside = view.Body(bowl) + Eigen::Vector3d(0, 0, 0.05);
+  EXPECT_FALSE(view.Blocked(inside, half, bowl));
+  EXPECT_TRUE(view.Blocked(inside, half + Eigen::Vector3d(0.13, 0.13, 0), bowl));
+  EXPECT_TRUE(view.Blocked(inside - Eigen::Vector3d(0, 0, 0.05), half, bowl));  // the floor
+}
+
 // What it does follows from the state alone: another one, asked half-way, says the same.
 TEST(LiberoExpert, RemembersNothing) {
   SKIP_WITHOUT_SHARED_DATA();
