@@ -19,6 +19,7 @@ KEPT = pathlib.Path(__file__).parent / "libero-tables"
 NOISE = ["isolated_stribeck", "isolated_backlash", "isolated_compliance", "isolated_gravity"]
 PAPER = {"paper pi0.5": dict(zip(["clean", *SEVEN], [97.0, 44.1, 54.1, 83.4, 33.2, 29.5, 43.9, 55.6])),
          "paper pi0": dict(zip(["clean", *SEVEN], [91.1, 42.3, 46.1, 75.5, 26.8, 23.0, 34.5, 43.9]))}
+PAPER_NOISE = dict(zip(NOISE, [36.8, 68.0, 74.1, 21.1]))  # pi0's base, tab:unit
 PAPER_RESIDUAL = dict(zip(["clean", *SEVEN], [23.4, 48.6, 47.5, 46.1, 38.7, 48.2, 56.3, 47.0]))  # tab:residual-magnitude
 # As declared before the runs: the primary comparison, and Holm's family of three.
 PRIMARY = ("ours_replanning", "base")
@@ -56,7 +57,8 @@ def refuse_other_weights(folder):
     for file in sorted(folder.glob("*/*.jsonl")):
         for line in file.read_text().splitlines():
             unit = json.loads(line)
-            first.setdefault((unit["policy"], unit["model"]), f"{file}: {unit['unit']}")
+            if unit["policy"] != "expert":
+                first.setdefault((unit["policy"], unit["model"]), f"{file}: {unit['unit']}")
     if len(first) > 1:
         raise SystemExit(f"outcomes of {len(first)} policies or weights: {first}; keep each in a folder of its own")
 
@@ -159,6 +161,9 @@ def noise_table(folder, methods):
     row("mean", [f"{sum(rate(t, (s, 5))[0] for s in NOISE) / 4:.1f}" for t in tables.values()])
     row("n a cell", [rate(t, (NOISE[0], 5))[1] for t in tables.values()])
     against_base(tables, {s: [(s, 5)] for s in NOISE})
+    if "base" in tables:
+        lost = [-rate(tables["base"], (s, 5))[0] for s in NOISE]
+        print(f"Rank correlation of base's four losses with the paper's: {spearman(lost, [-PAPER_NOISE[s] for s in NOISE]):.2f}")
 
 
 def severity_table(folder, methods):
@@ -189,7 +194,7 @@ def severity_table(folder, methods):
 
 
 def length_table(folder, methods, scenario="heavy_payload"):
-    """The paper's length under one scenario: all tasks, and the last five of each suite."""
+    """The paper's length under one scenario: all tasks, the last five of each suite, and what part seven plays as well."""
     tables = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, scenario).items()})}
     if not tables:
         return
@@ -200,8 +205,11 @@ def length_table(folder, methods, scenario="heavy_payload"):
         rates = [rate({scenario: {k: v for k, v in table[scenario].items() if k[0] == s}}, scenario) for s in suites]
         row(method, ["{:.1f}, {}".format(*rate(table, scenario)), *(f"{s} {r:.1f}, {n}" for s, (r, n) in zip(suites, rates))])
     late = {m: {scenario: {(suite, task): v for (suite, task), v in t[scenario].items() if task >= 5}} for m, t in tables.items()}
+    early = {m: {scenario: {task: {key: v for key, v in pairs.items() if key[1] < 2} for task, pairs in t[scenario].items()}}
+             for m, t in tables.items()}
     against_base(tables, {"all tasks": [scenario]})
     against_base(late, {"the last five tasks of each suite": [scenario]})
+    against_base(early, {"states 0 and 1": [scenario]})
 
 
 def residual(runs):

@@ -62,7 +62,12 @@ double CostModel::EpisodeSeconds(const UnitConfig& config) const {
   }
   const int horizon = HorizonOf(config);
   if (RunsInWorker(config.policy)) return horizon * kExpertStep_s;
-  return horizon * kServedStep_s * (config.method->adapts() ? kUpdateFactor : 1);
+  double step_s = kServedStep_s;
+  if (const SuiteInfo* suite = FindSuite(config.suite); suite != nullptr && suite->needs_libero) {
+    step_s =
+        config.sim.pictures == SimOptions::kOriginalPictures ? kLiberoStep_s : kLiberoPlainStep_s;
+  }
+  return horizon * step_s * (config.method->adapts() ? kUpdateFactor : 1);
 }
 
 double CostModel::Seconds(const WorkItem& item) const {

@@ -70,7 +70,7 @@ void AnnouncePlan(const std::string& command, const std::vector<PlannedUnit>& un
   if (slow) {
     std::fprintf(stderr,
                  "%s learned from quickly drawn views: with --set sim.pictures=plain an episode "
-                 "takes a seventh of the time\n",
+                 "takes a quarter to two fifths of the time\n",
                  kLiberoPolicy);
   }
 }

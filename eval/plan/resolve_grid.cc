@@ -17,6 +17,7 @@
 #include "common/libero_home.h"
 #include "common/libero_protocols.h"
 #include "common/libero_task_folder.h"
+#include "common/rollout/field_checks.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"
@@ -201,11 +202,15 @@ bool NeedsLibero(const std::string& suite) {
   return info != nullptr && info->needs_libero;
 }
 
-// That every task that is played has stored states, before a cluster waits for it.
+// That a policy's server will take the folder's name and every task that is played has stored
+// states, before a cluster waits for it.
 void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
   for (const std::string& path : grid.libero_tasks) {
     const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
     if (!folder.ok()) continue;  // said already
+    const absl::Status name = CheckName("its name", folder->suite);
+    if (!name.ok() && !absl::c_all_of(grid.policies, RunsInWorker))
+      complaints.Add(absl::StrCat("libero_tasks ", path, ": ", name.message(), "; rename it"));
     for (int task = 0; task < static_cast<int>(folder->tasks.size()); ++task) {
       const bool played = grid.tasks.empty() || absl::c_linear_search(grid.tasks, task);
       if (played && InitialStatesOf(*folder, folder->tasks[task]).empty()) {

@@ -56,4 +56,10 @@ absl::StatusOr<std::vector<int64_t>> Vocabulary::Encode(const std::string& instr
   return rows;
 }
 
+std::vector<std::string> Vocabulary::Unknown(const std::string& instruction) const {
+  std::vector<std::string> words = SplitWords(instruction);
+  std::erase_if(words, [&](const std::string& word) { return rows_.count(word) > 0; });
+  return words;
+}
+
 }  // namespace robostress

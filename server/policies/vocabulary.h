@@ -27,6 +27,8 @@ class Vocabulary {
   void Add(const std::string& instruction);
   // Row indices padded to max_words; an empty instruction or one that is too long is an error.
   absl::StatusOr<std::vector<int64_t>> Encode(const std::string& instruction, int max_words) const;
+  // Of an instruction the words that it lacks; a policy cannot tell them from each other.
+  std::vector<std::string> Unknown(const std::string& instruction) const;
 
  private:
   std::vector<std::string> words_;

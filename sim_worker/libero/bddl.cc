@@ -35,6 +35,8 @@ class Parser {
   Parser(const std::string& file, std::string_view text) : file_(file), text_(text) {}
 
   absl::StatusOr<Node> Parse() {
+    SkipSpace();
+    if (pos_ == text_.size()) return Error(line_, "nothing in it; a BDDL file is (define ...)");
     RS_ASSIGN_OR_RETURN(Node root, ParseNode(0));
     SkipSpace();
     if (pos_ < text_.size())
@@ -332,6 +334,15 @@ class Reader {
     return parser_.Error(node.line, absl::StrCat("unknown region attribute '", kind, "'"));
   }
 
+  absl::Status CheckNoConnective(int line, const std::string& word) {
+    static constexpr std::string_view kWords[] = {"and", "or", "not", "forall", "exists", "imply"};
+    if (std::find(std::begin(kWords), std::end(kWords), word) == std::end(kWords))
+      return absl::OkStatus();
+    return parser_.Error(
+        line, absl::StrCat("goal connective '", word,
+                           "'; a goal is one 'and' of predicates, without other connectives"));
+  }
+
   absl::Status ReadAtom(const Node& node, std::vector<BddlAtom>& out) {
     BddlAtom atom;
     atom.line = node.line;
@@ -340,8 +351,10 @@ class Reader {
                            absl::StrCat("expected (PREDICATE names ...), got '", node.word, "'"));
     }
     for (const Node& item : node.items) {
-      if (item.is_list)
+      if (item.is_list) {
+        RS_RETURN_IF_ERROR(CheckNoConnective(item.line, atom.predicate));
         return parser_.Error(item.line, "a predicate's arguments are names, not lists");
+      }
       if (atom.predicate.empty()) {
         atom.predicate = item.word;
       } else {
@@ -358,12 +371,10 @@ class Reader {
     }
     const Node& expression = section.items[1];
     const std::string& connective = expression.items[0].word;
-    if (connective == "or" || connective == "not" || connective == "forall" ||
-        connective == "exists" || connective == "imply") {
-      return parser_.Error(expression.line, absl::StrCat("goal connective '", connective,
-                                                         "'; only 'and' is supported"));
+    if (connective != "and") {
+      RS_RETURN_IF_ERROR(CheckNoConnective(expression.line, connective));
+      return ReadAtom(expression, problem_.goal);
     }
-    if (connective != "and") return ReadAtom(expression, problem_.goal);
     for (size_t i = 1; i < expression.items.size(); ++i) {
       RS_RETURN_IF_ERROR(ReadAtom(expression.items[i], problem_.goal));
     }

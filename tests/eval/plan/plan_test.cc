@@ -342,6 +342,16 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   units = Plan(grid);
   ASSERT_EQ(units.size(), 2u);
   EXPECT_EQ(units[0].config.libero_tasks, "");
+  SweepGrid spaced = grid;
+  const std::filesystem::path second = folder.parent_path() / "my tasks";
+  std::filesystem::remove_all(second);
+  std::filesystem::copy(folder, second);
+  spaced.libero_tasks = {second.string()};
+  spaced.suites = {};
+  EXPECT_TRUE(ResolveGrid(spaced).ok()) << "no server is told its name";
+  spaced.policies = {"nano-libero"};
+  EXPECT_THAT(std::string(ResolveGrid(spaced).status().message()),
+              HasSubstr("my tasks: its name contains byte 32; names are printable ASCII without"));
   SweepGrid both = grid;
   both.suites = {"libero_goal"};
   EXPECT_THAT(std::string(ResolveGrid(both).status().message()),

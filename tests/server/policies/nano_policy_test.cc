@@ -5,6 +5,7 @@
 #include <torch/autograd.h>
 #include <torch/types.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -15,6 +16,7 @@
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "server/policies/nano/nano_network.h"
+#include "tests/common/wire/heard_log.h"
 #include "tests/server/policies/nano_joint_pass.h"
 #include "tests/server/policies/tiny_nano.h"
 
@@ -428,6 +430,20 @@ TEST(NanoPolicy, RefusesObservationsThatItWasNotTrainedOn) {
   EXPECT_THAT(message([](Observation& o) { o.instruction = "a b c d e f g h i j"; }),
               HasSubstr("10 words"));
   EXPECT_EQ(message([](Observation&) {}), "");
+}
+
+TEST(NanoPolicy, TellsOnceWhichWordsOfAnInstructionItNeverLearned) {
+  const auto policy = TinyPolicy();
+  Observation observation = TinyObservation(policy->spec());
+  const HeardLog log;
+  ASSERT_TRUE(policy->Encode(observation).ok());
+  EXPECT_EQ(log.words(), "");
+  observation.instruction.insert(0, "Yank\n");
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(policy->Encode(observation).ok());
+  const std::string said = log.words();
+  EXPECT_THAT(said, HasSubstr("never learned these words of 'yank put the red bowl on the plate'"));
+  EXPECT_THAT(said, HasSubstr("all are one to it: yank\n"));
+  EXPECT_EQ(std::count(said.begin(), said.end(), '\n'), 1) << said;
 }
 
 // What the last executed step of a chunk should be does not depend on where the chunk began; how

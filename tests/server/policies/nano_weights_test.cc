@@ -133,6 +133,7 @@ TEST(Vocabulary, SplitsWordsAndPads) {
   vocabulary.Add("the plate");
   EXPECT_THAT(vocabulary.words(), testing::ElementsAre("put", "the", "bowl", "plate"));
   EXPECT_THAT(vocabulary.Encode("THE plate flies", 5).value(), testing::ElementsAre(3, 5, 1, 0, 0));
+  EXPECT_THAT(vocabulary.Unknown("THE plate flies, yank"), testing::ElementsAre("flies", "yank"));
 }
 
 }  // namespace

@@ -80,6 +80,9 @@ TEST(BddlTest, ErrorsNameFileLineAndToken) {
   EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "akita_black_bowl_1 - plate)")),
               HasSubstr("'akita_black_bowl_1' is declared twice"));
   EXPECT_THAT(ErrorOf(With("(And", "(Or")), HasSubstr("task.bddl:12: goal connective 'or'"));
+  EXPECT_THAT(ErrorOf(With("(And", "(And (Not (Open a))")),
+              HasSubstr("task.bddl:12: goal connective 'not'; a goal is one 'and' of predicates"));
+  EXPECT_THAT(ErrorOf(" ; a remark\n"), HasSubstr("task.bddl:2: nothing in it"));
   EXPECT_THAT(ErrorOf(With(":obj_of_interest", ":objects")),
               HasSubstr("task.bddl:10: a second (:objects ...); the first is in line 9"));
   EXPECT_THAT(ErrorOf(With(":obj_of_interest",

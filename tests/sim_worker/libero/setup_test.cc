@@ -223,6 +223,7 @@ TEST_F(LiberoSetup, TheProgramLinksNothingThatDiffersUnlessTold) {
   EXPECT_EQ(RememberedLibero(), "");
   std::tie(output, code) = RunProgram(program, plain + " --accept-differences");
   EXPECT_EQ(code, 0) << output;
+  EXPECT_THAT(output, HasSubstr("of the missing files are no pictures; tasks that read them are"));
   EXPECT_EQ(RememberedLibero(), LiberoHome());
 }
 
