@@ -193,8 +193,8 @@ def severity_table(folder, methods):
             row(f"{method} - base", [f"L5 less L{shared[0]}", text, f"p {sign_flip_p(growth):.2g}"])
 
 
-def length_table(folder, methods, scenario="heavy_payload"):
-    """The paper's length under one scenario: all tasks, the last five of each suite, and what part seven plays as well."""
+def length_table(folder, methods, scenario):
+    """The paper's length under one scenario: all tasks, the last five of each suite, the states of part seven and the others."""
     tables = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, scenario).items()})}
     if not tables:
         return
@@ -204,12 +204,16 @@ def length_table(folder, methods, scenario="heavy_payload"):
         suites = sorted({suite for suite, _ in table[scenario]})
         rates = [rate({scenario: {k: v for k, v in table[scenario].items() if k[0] == s}}, scenario) for s in suites]
         row(method, ["{:.1f}, {}".format(*rate(table, scenario)), *(f"{s} {r:.1f}, {n}" for s, (r, n) in zip(suites, rates))])
-    late = {m: {scenario: {(suite, task): v for (suite, task), v in t[scenario].items() if task >= 5}} for m, t in tables.items()}
-    early = {m: {scenario: {task: {key: v for key, v in pairs.items() if key[1] < 2} for task, pairs in t[scenario].items()}}
-             for m, t in tables.items()}
+
+    def only(keep):
+        return {m: {scenario: {task: kept for task, pairs in t[scenario].items()
+                               if (kept := {key: v for key, v in pairs.items() if keep(task[1], key[1])})}}
+                for m, t in tables.items()}
+
     against_base(tables, {"all tasks": [scenario]})
-    against_base(late, {"the last five tasks of each suite": [scenario]})
-    against_base(early, {"states 0 and 1": [scenario]})
+    against_base(only(lambda task, state: task >= 5), {"the last five tasks of each suite": [scenario]})
+    against_base(only(lambda task, state: state < 2), {"states 0 and 1": [scenario]})
+    against_base(only(lambda task, state: state >= 2), {"states from 2 on": [scenario]})
 
 
 def residual(runs):
@@ -245,7 +249,8 @@ def main():
     updates_table(folder, methods)
     noise_table(folder, methods)
     severity_table(folder, methods)
-    length_table(folder, methods)
+    for scenario in ("heavy_payload", "thermal_drift_stribeck"):
+        length_table(folder, methods, scenario)
 
 
 if __name__ == "__main__":
