@@ -112,10 +112,10 @@ install(DIRECTORY calibration/rigs DESTINATION ${doc}/robostress-calibration/exa
 
 # The C++ interface: find_package(robostress), robostress::common, joint_errors, rollout, adapter; client with gRPC.
 set(headers ${CMAKE_INSTALL_INCLUDEDIR}/robostress)
-foreach(folder common common/joint_errors common/joint_errors/effects common/rollout common/rpc adapter)
+foreach(folder common common/libero common/joint_errors common/joint_errors/effects common/rollout common/rpc adapter)
   file(GLOB found CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/${folder}/*.h)
   # Programs' own; what includes LibTorch.
-  list(FILTER found EXCLUDE REGEX "/(run_main|option_table|hdf5_file|libero_demonstrations|adam|compensation|lora|lora_adapter|velocity_field|adaptation_state|update_guard|peft)\\.h$")
+  list(FILTER found EXCLUDE REGEX "/(run_main|option_table|hdf5_file|libero/demonstrations|init_states|zip_entry|adam|compensation|lora|lora_adapter|velocity_field|adaptation_state|update_guard|peft)\\.h$")
   install(FILES ${found} DESTINATION ${headers}/${folder} COMPONENT dev)
 endforeach()
 install(FILES ${CMAKE_BINARY_DIR}/generated/proto/robostress/v1/policy.pb.h

@@ -6,7 +6,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
-#include "common/libero_task_folder.h"
+#include "common/libero/task_folder.h"
 #include "common/status_macros.h"
 #include "common/unit_config.h"
 

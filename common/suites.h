@@ -25,7 +25,7 @@ struct SuiteInfo {
 
 // The four embedded suites, LIBERO's four, then those of other robots, in the order of the tables.
 const std::vector<SuiteInfo>& AllSuites();
-// Makes a folder of LIBERO tasks (common/libero_task_folder.h) a suite of this process, named as
+// Makes a folder of LIBERO tasks (common/libero/task_folder.h) a suite of this process, named as
 // the folder is, and says the name. Its horizon is that of the suite from whose name and '_' its
 // name begins (libero_goal_swap: libero_goal), else 400, openpi's for LIBERO-90. Again with the
 // same folder changes nothing; a name that another suite has is InvalidArgument. Any thread.

@@ -11,7 +11,6 @@
 #include "common/check.h"
 #include "common/image.h"
 #include "common/status_macros.h"
-#include "common/suites.h"
 #include "sim_worker/sim_task.h"
 
 namespace robostress {
@@ -51,21 +50,11 @@ std::string Text(int x, int y, const std::string& style, const std::string& text
 
 }  // namespace
 
-absl::StatusOr<std::vector<FirstFrame>> RenderFirstFrames(const UnitConfig& unit, int initial_state,
-                                                          int size) {
-  const SuiteInfo* suite = FindSuite(unit.suite);
-  if (suite == nullptr) {
-    return absl::NotFoundError(
-        absl::StrCat("suite '", unit.suite, "' is unknown; `robostress suites` lists them"));
-  }
-  std::vector<FirstFrame> frames;
-  for (int i = 0; i < suite->num_tasks; ++i) {
-    RS_ASSIGN_OR_RETURN(const std::unique_ptr<SimTask> task, MakeSimTask(unit, i));
-    RS_RETURN_IF_ERROR(task->Reset(initial_state));
-    RS_ASSIGN_OR_RETURN(const Image film, task->Film(2 * size));
-    frames.push_back({task->instruction(), ResizeArea(LeftSquare(film), size, size)});
-  }
-  return frames;
+absl::StatusOr<FirstFrame> RenderFirstFrame(const UnitConfig& unit, int task, int size) {
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<SimTask> sim, MakeSimTask(unit, task));
+  RS_RETURN_IF_ERROR(sim->Reset(unit.first_initial_state));
+  RS_ASSIGN_OR_RETURN(const Image film, sim->Film(2 * size));
+  return FirstFrame{sim->instruction(), ResizeArea(LeftSquare(film), size, size)};
 }
 
 absl::StatusOr<std::string> ContactSheetSvg(const std::string& title,

@@ -15,10 +15,9 @@ struct FirstFrame {
   Image image;  // third-person view
 };
 
-// The first frames of all tasks of `unit.suite` from `initial_state`, in task order, size x size
-// [px], each averaged from twice that. Takes a task at a time.
-absl::StatusOr<std::vector<FirstFrame>> RenderFirstFrames(const UnitConfig& unit, int initial_state,
-                                                          int size);
+// The first frame of a task of `unit.suite` from `unit.first_initial_state`, size x size [px],
+// averaged from twice that.
+absl::StatusOr<FirstFrame> RenderFirstFrame(const UnitConfig& unit, int task, int size);
 
 // A page of frames of equal size, five in a row, each with its number and instruction below it: an
 // SVG that holds its pictures. `title` stands above.

@@ -127,8 +127,13 @@ absl::Status WriteSheets(const CommandLine& line) {
     const bool shown = line.libero || !line.folder_suites.empty();  // what needs LIBERO's files
     if (line.suite.empty() && info.needs_libero != shown) continue;
     const UnitConfig unit = UnitOf(line, info);
-    RS_ASSIGN_OR_RETURN(const std::vector<FirstFrame> frames,
-                        RenderFirstFrames(unit, line.initial_state, line.size));
+    std::vector<FirstFrame> frames(info.num_tasks);
+    for (int task = 0; task < info.num_tasks; ++task) {
+      if (info.needs_libero)  // seconds each
+        std::fprintf(stderr, "%s: drawing task %d, the last is %d\n", info.name.c_str(), task,
+                     info.num_tasks - 1);
+      RS_ASSIGN_OR_RETURN(frames[task], RenderFirstFrame(unit, task, line.size));
+    }
     const std::string title = absl::StrCat(info.name, ", initial state ", line.initial_state);
     RS_ASSIGN_OR_RETURN(const std::string svg, ContactSheetSvg(title, frames));
     RS_RETURN_IF_ERROR(MakeDirectories(line.sheets));

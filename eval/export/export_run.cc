@@ -16,7 +16,7 @@
 #include "common/image.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/lerobot/lerobot_dataset.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/records/episode_recording.h"
 #include "common/status_macros.h"
 #include "eval/export/arm_run_mcap.h"

@@ -34,7 +34,7 @@ struct ExportSummary {
 //     action.sent [7]                    after corrections, as the controller got it
 //     action.measured [7]                the displacement that came of it, in units of a command
 //     meta/robostress_episodes.jsonl     which unit each episode is of
-//   libero/TASK_demo.hdf5                common/libero_demonstrations.h, one file a task
+//   libero/TASK_demo.hdf5                common/libero/demonstrations.h, one file a task
 //   mcap/UNIT-taskT-episodeE.mcap        eval/export/episode_mcap.h, one file an episode
 //
 // Of a run of robot_client one file, mcap/RUN.mcap (eval/export/arm_run_mcap.h).

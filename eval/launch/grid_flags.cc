@@ -7,7 +7,7 @@
 #include "absl/strings/str_join.h"
 #include "adapter/methods.h"
 #include "common/config.h"
-#include "common/libero_protocols.h"
+#include "common/libero/protocols.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/wire/openpi_dialect.h"

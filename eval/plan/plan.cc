@@ -10,7 +10,7 @@
 #include "absl/strings/str_split.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
-#include "common/libero_protocols.h"
+#include "common/libero/protocols.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"

@@ -29,7 +29,7 @@ struct SweepGrid {
   std::string replay_file, libero_root, robosuite_root;
   std::string libero_fixtures = "centred";
   RemotePolicyOptions remote;  // used: another server holds the policy, whose label stands above
-  std::string step_limits;     // of common/libero_protocols.h; empty: the suites' own
+  std::string step_limits;     // of common/libero/protocols.h; empty: the suites' own
   LatencyOptions latency;      // of answers, in simulated time
   std::vector<std::string> libero_tasks;  // folders of BDDL files, a suite each
 

@@ -13,10 +13,11 @@
 #include "common/config.h"
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenario_file.h"
-#include "common/libero_fixtures.h"
-#include "common/libero_home.h"
-#include "common/libero_protocols.h"
-#include "common/libero_task_folder.h"
+#include "common/libero/fixtures.h"
+#include "common/libero/home.h"
+#include "common/libero/init_states.h"
+#include "common/libero/protocols.h"
+#include "common/libero/task_folder.h"
 #include "common/rollout/field_checks.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -202,8 +203,15 @@ bool NeedsLibero(const std::string& suite) {
   return info != nullptr && info->needs_libero;
 }
 
+absl::Status CheckStates(const SweepGrid& grid, const std::string& file) {
+  RS_ASSIGN_OR_RETURN(const libero::InitStates states, libero::ReadInitStates(file));
+  return libero::CheckEpisodeRows(states, grid.first_initial_state, grid.episodes);
+}
+
+constexpr size_t kMostFaults = 5;  // said of a folder; LIBERO-90's ninety tasks may share one
+
 // That a policy's server will take the folder's name and every task that is played has stored
-// states, before a cluster waits for it.
+// states, one for each episode, before a cluster waits for it.
 void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
   for (const std::string& path : grid.libero_tasks) {
     const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
@@ -211,14 +219,21 @@ void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
     const absl::Status name = CheckName("its name", folder->suite);
     if (!name.ok() && !absl::c_all_of(grid.policies, RunsInWorker))
       complaints.Add(absl::StrCat("libero_tasks ", path, ": ", name.message(), "; rename it"));
+    std::vector<std::string> faults;
     for (int task = 0; task < static_cast<int>(folder->tasks.size()); ++task) {
-      const bool played = grid.tasks.empty() || absl::c_linear_search(grid.tasks, task);
-      if (played && InitialStatesOf(*folder, folder->tasks[task]).empty()) {
-        complaints.Add(
-            absl::StrCat("task ", task, " of ", path, ", ", folder->tasks[task],
-                         ", has no initial states beside it; leave it out with --tasks"));
-      }
+      if (!grid.tasks.empty() && !absl::c_linear_search(grid.tasks, task)) continue;
+      const std::string file = InitialStatesOf(*folder, folder->tasks[task]);
+      const absl::Status states =
+          file.empty()
+              ? absl::NotFoundError("it has no initial states beside it; leave it out with --tasks")
+              : CheckStates(grid, file);
+      if (!states.ok())
+        faults.push_back(absl::StrCat("task ", task, " of ", path, ", ", folder->tasks[task], ": ",
+                                      states.message()));
     }
+    for (size_t i = 0; i < std::min(faults.size(), kMostFaults); ++i) complaints.Add(faults[i]);
+    if (faults.size() > kMostFaults)
+      complaints.Add(absl::StrCat("and ", faults.size() - kMostFaults, " more tasks of ", path));
   }
 }
 

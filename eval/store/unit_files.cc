@@ -11,7 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/json_text.h"
-#include "common/libero_task_folder.h"
+#include "common/libero/task_folder.h"
 #include "common/records/json_record.h"
 #include "common/suites.h"
 #include "common/unit/unit_directory.h"

@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
 #include "common/image.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/safetensors.h"
 #include "common/so3.h"
 #include "common/status_macros.h"

@@ -10,7 +10,7 @@ namespace robostress {
 
 using ToolPoseOf = std::function<Pose(const ArmVector& position)>;
 
-// One episode as a file in LIBERO's form (common/libero_demonstrations.h), for two cameras: the
+// One episode as a file in LIBERO's form (common/libero/demonstrations.h), for two cameras: the
 // first is agentview, the second eye_in_hand. What differs on this arm: actions are absolute joint
 // targets [rad] and the opening [m], joint_states the joints and the opening, obs/proprioception
 // those with a zero behind them. The tool's pose is `tool`'s.

@@ -9,7 +9,7 @@
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 

@@ -9,7 +9,7 @@
 
 namespace robostress {
 
-// Writes the demonstrations of a file in LIBERO's form (common/libero_demonstrations.h) as one
+// Writes the demonstrations of a file in LIBERO's form (common/libero/demonstrations.h) as one
 // shard: every `stride`-th step is a frame; its label is the actions from there on, after the end
 // zero motion with the last gripper command, or the last target of a file of absolute actions.
 //

@@ -6,8 +6,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
-#include "common/libero_home.h"
-#include "common/libero_own_tasks.h"
+#include "common/libero/home.h"
+#include "common/libero/own_tasks.h"
 #include "common/status_macros.h"
 
 namespace robostress::libero {

@@ -22,11 +22,10 @@ struct LiberoPaths {
 absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
                                        const std::string& robosuite_root);
 
-// Tasks of libero_spatial, libero_object, libero_goal and libero_10 in the benchmark's order
-// (task_order_index 0; LIBERO 8f1084e, libero/libero/benchmark/libero_suite_task_map.py). NotFound
-// lists the known suites.
-// The four suites' names.
+// libero_spatial, libero_object, libero_goal, libero_10.
 std::vector<std::string> LiberoSuites();
+// A suite's tasks in the benchmark's order (task_order_index 0; LIBERO 8f1084e,
+// libero/libero/benchmark/libero_suite_task_map.py). NotFound lists the known suites.
 absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite);
 // The instruction that the benchmark derives from a task's file name.
 std::string LiberoInstruction(const std::string& task_name);

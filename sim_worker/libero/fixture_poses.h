@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "common/libero_fixtures.h"
+#include "common/libero/fixtures.h"
 #include "sim_worker/libero/fixture_table.h"
 #include "sim_worker/libero/numpy_placement.h"
 #include "sim_worker/libero/scene.h"

@@ -12,8 +12,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "common/libero_home.h"
-#include "common/libero_task_folder.h"
+#include "common/libero/home.h"
+#include "common/libero/task_folder.h"
 #include "common/program_folder.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"

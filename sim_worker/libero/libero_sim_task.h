@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "common/libero/init_states.h"
 #include "sim_worker/libero/fixture_poses.h"
-#include "sim_worker/libero/init_states.h"
 #include "sim_worker/libero/predicates.h"
 #include "sim_worker/libero/scene.h"
 #include "sim_worker/renderer.h"

@@ -3,10 +3,10 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "common/libero_task_folder.h"
+#include "common/libero/init_states.h"
+#include "common/libero/task_folder.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/bddl.h"
-#include "sim_worker/libero/init_states.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/task_doubts.h"
 
@@ -84,14 +84,9 @@ absl::Status CheckLiberoTasks(const UnitConfig& unit) {
     RS_ASSIGN_OR_RETURN(const libero::BddlProblem problem, libero::ReadBddl(files.bddl));
     if (const auto problem_class = libero::FindProblemClass(problem.name); problem_class.ok())
       RS_RETURN_IF_ERROR(libero::CheckFixturesPlaced(problem, *problem_class));
-    RS_ASSIGN_OR_RETURN(const int states, CountInitialStates(unit, task));
-    const int last = unit.first_initial_state + unit.episodes - 1;
-    if (last >= states) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("episodes start from states ", unit.first_initial_state, " to ", last,
-                       " of ", states, " initial states in ", files.initial_states,
-                       "; give fewer --episodes or leave the task out"));
-    }
+    RS_ASSIGN_OR_RETURN(const libero::InitStates states,
+                        libero::ReadInitStates(files.initial_states));
+    RS_RETURN_IF_ERROR(libero::CheckEpisodeRows(states, unit.first_initial_state, unit.episodes));
   }
   return absl::OkStatus();
 }

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "absl/status/statusor.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "sim_worker/record/expert_demonstration.h"
 
 namespace robostress {

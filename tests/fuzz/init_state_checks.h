@@ -3,7 +3,7 @@
 #include <cmath>
 #include <string>
 
-#include "sim_worker/libero/init_states.h"
+#include "common/libero/init_states.h"
 #include "tests/fuzz/fuzz_check.h"
 
 namespace robostress::libero {

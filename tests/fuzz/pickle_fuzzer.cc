@@ -1,7 +1,7 @@
 // The pickle inside LIBERO's initial states, under a correct checksum.
+#include "tests/common/libero/init_file.h"
 #include "tests/fuzz/init_state_checks.h"
 #include "tests/fuzz/splice_mutator.h"
-#include "tests/sim_worker/libero/init_file.h"
 
 namespace {
 

@@ -12,7 +12,7 @@
 #include "common/atomic_file.h"
 #include "common/image.h"
 #include "common/lerobot/parquet_reader.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/recordings/recording.h"
 #include "common/records/episode_recording.h"
 #include "tests/common/lerobot/read_back.h"

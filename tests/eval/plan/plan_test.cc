@@ -10,6 +10,7 @@
 #include "common/suites.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "tests/common/libero/init_file.h"
 
 namespace robostress {
 namespace {
@@ -308,13 +309,41 @@ TEST(Plan, APolicyOfAnotherServerMovesAPanda) {
               HasSubstr("remote.action_dim is 8, and a Panda's command has 7 numbers"));
 }
 
+void WriteStates(const std::filesystem::path& file, int rows) {
+  const std::string pickle = libero::Pickle(std::vector<double>(rows), rows, 1);
+  ASSERT_TRUE(WriteFileAtomically(file.string(), libero::Zip("states/data.pkl", pickle)).ok());
+}
+
+TEST(Plan, FaultsThatAllTasksOfAFolderShareAreSaidInAFewLines) {
+  const std::filesystem::path folder =
+      std::filesystem::path(::testing::TempDir()) / "plan" / "libero_many";
+  std::filesystem::remove_all(folder);
+  std::filesystem::create_directories(folder);
+  for (int i = 0; i < 9; ++i) {
+    ASSERT_TRUE(WriteFileAtomically(absl::StrCat(folder.string(), "/", i, ".bddl"), "").ok());
+    WriteStates(folder / absl::StrCat(i, ".init"), 3);
+  }
+  SweepGrid grid;
+  grid.policies = {"expert"};
+  grid.methods = {"base"};
+  grid.scenarios = {"clean"};
+  grid.libero_root = grid.robosuite_root = "somewhere";
+  grid.libero_tasks = {folder.string()};
+  grid.episodes = 4;
+  EXPECT_THAT(
+      std::string(ResolveGrid(grid).status().message()),
+      AllOf(HasSubstr("states 0 to 3 of 3 initial states in "), HasSubstr("task 4 of "),
+            Not(HasSubstr("task 5 of ")), HasSubstr("and 4 more tasks of " + folder.string())));
+}
+
 TEST(Plan, AFolderOfTasksIsASuite) {
   const std::filesystem::path folder =
       std::filesystem::path(::testing::TempDir()) / "plan" / "libero_goal_mine";
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
-  for (const char* task : {"a.bddl", "a.pruned_init", "b.bddl"})
+  for (const char* task : {"a.bddl", "b.bddl"})
     ASSERT_TRUE(WriteFileAtomically((folder / task).string(), "").ok());
+  WriteStates(folder / "a.pruned_init", 70);
   SweepGrid grid;
   grid.policies = {"expert"};
   grid.methods = {"base"};
@@ -322,14 +351,26 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   grid.libero_root = grid.robosuite_root = "somewhere";
   EXPECT_THAT(DumpConfig(grid), Not(HasSubstr("libero_tasks")));
   grid.libero_tasks = {folder.string()};
-  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
-              HasSubstr("task 1 of " + folder.string() + ", b, has no initial states beside it"));
+  EXPECT_THAT(
+      std::string(ResolveGrid(grid).status().message()),
+      HasSubstr("task 1 of " + folder.string() + ", b: it has no initial states beside it"));
   grid.tasks = {0};
   EXPECT_TRUE(ResolveGrid(grid).ok());
   grid.tasks = {};
-  ASSERT_TRUE(WriteFileAtomically((folder / "b.init").string(), "").ok());
+  WriteStates(folder / "b.init", 70);
   grid.first_initial_state = 60;
+  grid.episodes = 10;
   EXPECT_TRUE(ResolveGrid(grid).ok()) << "how many there are the file says";
+  grid.episodes = 11;
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr(", a: episodes start from states 60 to 70 of 70 initial states in "),
+                    HasSubstr(", b: episodes start")));
+  ASSERT_TRUE(WriteFileAtomically((folder / "b.init").string(), "").ok());
+  grid.episodes = 10;
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr("task 1 of " + folder.string()), HasSubstr("b.init: 0 bytes")));
+  WriteStates(folder / "b.init", 70);
+  grid.episodes = SweepGrid().episodes;
   grid.first_initial_state = 0;
   std::vector<PlannedUnit> units = Plan(grid);
   ASSERT_EQ(units.size(), 1u);
@@ -366,8 +407,8 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("libero_tasks: "));
   grid.suites = {"libero_goal_mine_not"};
   EXPECT_THAT(std::string(ExpandUnits(grid).status().message()),
-              testing::AllOf(HasSubstr("suite 'libero_goal_mine_not' is unknown"),
-                             HasSubstr(folder.string() + "_not")));
+              AllOf(HasSubstr("suite 'libero_goal_mine_not' is unknown"),
+                    HasSubstr(folder.string() + "_not")));
 }
 
 TEST(Plan, LatencyIsPartOfEveryUnitAndStandsInNoneWithout) {

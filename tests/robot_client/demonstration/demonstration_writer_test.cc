@@ -7,7 +7,7 @@
 #include <filesystem>
 #include <limits>
 
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/safetensors.h"
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/synthetic_source.h"

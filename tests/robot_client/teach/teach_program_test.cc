@@ -16,7 +16,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/safetensors.h"
 #include "tests/common/lerobot/read_back.h"
 #include "tests/run_program.h"

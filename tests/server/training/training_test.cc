@@ -9,7 +9,7 @@
 
 #include "common/atomic_file.h"
 #include "common/embedded_policies.h"
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 #include "common/safetensors.h"
 #include "nlohmann/json.hpp"
 #include "server/policies/policy.h"

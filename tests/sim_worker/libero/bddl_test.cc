@@ -10,7 +10,7 @@
 #include "common/atomic_file.h"
 #include "common/random.h"
 #include "sim_worker/libero/task_doubts.h"
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

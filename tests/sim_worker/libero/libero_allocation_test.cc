@@ -2,8 +2,8 @@
 #include <gtest/gtest.h>
 
 #include "sim_worker/libero/libero_sim_task.h"
+#include "tests/common/libero/shared_data.h"
 #include "tests/sim_worker/allocation_counter.h"
-#include "tests/sim_worker/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

@@ -10,7 +10,7 @@
 #include "sim_worker/libero/expert_grasp.h"
 #include "sim_worker/libero/expert_view.h"
 #include "sim_worker/libero/libero_sim_task.h"
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

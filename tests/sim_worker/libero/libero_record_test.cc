@@ -16,8 +16,8 @@
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/record/expert_demonstration.h"
 #include "sim_worker/record/libero_recorder.h"
+#include "tests/common/libero/shared_data.h"
 #include "tests/run_program.h"
-#include "tests/sim_worker/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

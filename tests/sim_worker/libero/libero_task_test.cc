@@ -21,7 +21,7 @@
 #include "sim_worker/libero/demonstration_replay.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/numpy_placement.h"
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

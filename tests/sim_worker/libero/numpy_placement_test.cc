@@ -17,7 +17,7 @@
 #include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

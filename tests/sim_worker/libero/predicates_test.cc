@@ -8,7 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

@@ -8,9 +8,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/libero_home.h"
+#include "common/libero/home.h"
+#include "tests/common/libero/shared_data.h"
 #include "tests/run_program.h"
-#include "tests/sim_worker/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {

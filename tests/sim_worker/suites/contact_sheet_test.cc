@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <set>
 
 #include "absl/strings/escaping.h"
 #include "common/image.h"
@@ -47,26 +48,28 @@ TEST(ContactSheet, WrapsAndEscapesInstructions) {
   EXPECT_GE(Count(*svg, "<text "), 3) << "64 px hold about nine characters";
 }
 
-TEST(ContactSheet, RendersTheTasksOfASuiteInTheirOrder) {
+TEST(ContactSheet, RendersEachTaskOfASuite) {
   UnitConfig unit;
   unit.suite = "tabletop_object";
-  const auto frames = RenderFirstFrames(unit, /*initial_state=*/0, /*size=*/48);
-  ASSERT_TRUE(frames.ok()) << frames.status();
-  ASSERT_EQ(frames->size(), 10u);
-  for (const FirstFrame& frame : *frames) {
-    EXPECT_EQ(frame.image.width, 48);
-    EXPECT_EQ(frame.image.height, 48);
-    ASSERT_EQ(frame.image.data.size(), size_t{3} * 48 * 48);
-    const auto [low, high] = std::minmax_element(frame.image.data.begin(), frame.image.data.end());
+  std::set<std::string> instructions;
+  for (int task = 0; task < 10; ++task) {
+    const absl::StatusOr<FirstFrame> frame = RenderFirstFrame(unit, task, /*size=*/48);
+    ASSERT_TRUE(frame.ok()) << frame.status();
+    const Image& image = frame->image;
+    EXPECT_EQ(image.width, 48);
+    EXPECT_EQ(image.height, 48);
+    ASSERT_EQ(image.data.size(), size_t{3} * 48 * 48);
+    const auto [low, high] = std::minmax_element(image.data.begin(), image.data.end());
     EXPECT_GT(*high - *low, 100) << "a picture, not an empty frame";
+    instructions.insert(frame->instruction);
   }
-  EXPECT_NE((*frames)[0].instruction, (*frames)[1].instruction);
+  EXPECT_EQ(instructions.size(), 10u);
 }
 
 TEST(ContactSheet, NamesWhatItCannotRender) {
   UnitConfig unit;
   unit.suite = "tabletop_gaol";
-  EXPECT_THAT(std::string(RenderFirstFrames(unit, 0, 48).status().message()),
+  EXPECT_THAT(std::string(RenderFirstFrame(unit, 0, 48).status().message()),
               HasSubstr("'tabletop_gaol' is unknown"));
 }
 

@@ -1,10 +1,10 @@
-#include "common/libero_own_tasks.h"
+#include "common/libero/own_tasks.h"
 
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/libero_home.h"
+#include "common/libero/home.h"
 #include "common/suites.h"
 
 namespace robostress {

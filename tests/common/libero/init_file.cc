@@ -1,4 +1,4 @@
-#include "tests/sim_worker/libero/init_file.h"
+#include "tests/common/libero/init_file.h"
 
 #include <zlib.h>
 

@@ -1,4 +1,4 @@
-#include "common/libero_fixtures.h"
+#include "common/libero/fixtures.h"
 
 #include <unistd.h>
 

@@ -1,4 +1,4 @@
-#include "common/libero_fixtures.h"
+#include "common/libero/fixtures.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

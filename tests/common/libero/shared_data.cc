@@ -1,4 +1,4 @@
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/shared_data.h"
 
 #include <cstdlib>
 #include <filesystem>

@@ -1,4 +1,4 @@
-#include "sim_worker/libero/init_states.h"
+#include "common/libero/init_states.h"
 
 #include <gmock/gmock.h>
 
@@ -9,8 +9,8 @@
 #include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
-#include "tests/sim_worker/libero/init_file.h"
-#include "tests/sim_worker/libero/shared_data.h"
+#include "tests/common/libero/init_file.h"
+#include "tests/common/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {
@@ -35,6 +35,11 @@ TEST(InitStatesTest, ReadsAMatrixBitForBit) {
   // NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): bit by bit
   EXPECT_EQ(std::memcmp(states->values.data(), kValues.data(), sizeof(double) * 6), 0);
   EXPECT_EQ(states->row(1)[0], 1e-300);
+  EXPECT_TRUE(CheckEpisodeRows(*states, 1, 1).ok());
+  EXPECT_THAT(std::string(CheckEpisodeRows(*states, 1, 2).message()),
+              HasSubstr("states 1 to 2 of 2 initial states in a; give fewer --episodes"));
+  EXPECT_THAT(std::string(CheckEpisodeRows(*states, 2147483647, 2).message()),
+              HasSubstr("states 2147483647 to 2147483648 of 2"));
 }
 
 TEST(InitStatesTest, ReadsAnNpzStoredOrDeflated) {

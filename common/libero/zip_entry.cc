@@ -1,4 +1,4 @@
-#include "sim_worker/libero/zip_entry.h"
+#include "common/libero/zip_entry.h"
 
 #include <zlib.h>
 

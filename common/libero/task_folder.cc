@@ -1,4 +1,4 @@
-#include "common/libero_task_folder.h"
+#include "common/libero/task_folder.h"
 
 #include <algorithm>
 #include <filesystem>

@@ -18,11 +18,14 @@ struct InitStates {
 
 // Reads a `.pruned_init` file: a zip whose data.pkl is a pickle (protocol 2) of one float64 NumPy
 // matrix; or an .npz with such a matrix `states`, as LIBERO-PRO's package has it. Nothing is
-// executed: a small stack machine knows the opcodes and the
-// four names that such a file needs and refuses everything else, with the file, the byte and the
-// opcode in the error.
+// executed: a small stack machine knows the opcodes and the four names that such a file needs and
+// refuses everything else, with the file, the byte and the opcode in the error.
 absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_view bytes);
 absl::StatusOr<InitStates> ReadInitStates(const std::string& file);
+
+// Episodes start from one row each, `first` on; the error names the rows that are not there, the
+// file and the remedy.
+absl::Status CheckEpisodeRows(const InitStates& states, int first, int episodes);
 
 // The row's length must be 1 + nq + nv of the compiled model; the error names file and sizes.
 absl::Status CheckInitStates(const InitStates& states, int nq, int nv);

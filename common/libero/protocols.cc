@@ -1,4 +1,4 @@
-#include "common/libero_protocols.h"
+#include "common/libero/protocols.h"
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"

@@ -1,4 +1,4 @@
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,3 +1,5 @@
+#include "common/libero/task_folder.h"
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -5,9 +7,8 @@
 
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
-#include "common/libero_own_tasks.h"
-#include "common/libero_protocols.h"
-#include "common/libero_task_folder.h"
+#include "common/libero/own_tasks.h"
+#include "common/libero/protocols.h"
 #include "common/suites.h"
 #include "common/unit/unit_plan.h"
 

@@ -1,4 +1,4 @@
-#include "common/libero_demonstrations.h"
+#include "common/libero/demonstrations.h"
 
 #include <algorithm>
 

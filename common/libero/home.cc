@@ -1,4 +1,4 @@
-#include "common/libero_home.h"
+#include "common/libero/home.h"
 
 #include <cstdlib>
 #include <filesystem>

@@ -1,4 +1,4 @@
-#include "sim_worker/libero/init_states.h"
+#include "common/libero/init_states.h"
 
 #include <bit>
 #include <cmath>
@@ -13,8 +13,8 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/libero/zip_entry.h"
 #include "common/status_macros.h"
-#include "sim_worker/libero/zip_entry.h"
 
 namespace robostress::libero {
 namespace {
@@ -414,6 +414,14 @@ absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_
 absl::StatusOr<InitStates> ReadInitStates(const std::string& file) {
   RS_ASSIGN_OR_RETURN(std::string bytes, ReadFile(file));
   return ParseInitStates(file, bytes);
+}
+
+absl::Status CheckEpisodeRows(const InitStates& states, int first, int episodes) {
+  const int64_t end = int64_t{first} + episodes;
+  if (end <= states.rows) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "episodes start from states ", first, " to ", end - 1, " of ", states.rows,
+      " initial states in ", states.file, "; give fewer --episodes or leave the task out"));
 }
 
 absl::Status CheckInitStates(const InitStates& states, int nq, int nv) {
