@@ -43,9 +43,9 @@ struct DriveSums {
     const double gain = both / asked;
     if (gain > -kOtherWay && gain < kFarTooMuch) return "";
     return absl::StrFormat(
-        "over %d logs its torque is %.4g times what its motion asks of the model's masses and "
+        "over %d log%s its torque is %.4g times what its motion asks of the model's masses and "
         "gravity; %s, or the model's %s wrong",
-        logs, gain,
+        logs, logs == 1 ? "" : "s", gain,
         gain < 0 ? "if it counts the other way multiply it by -1"
                  : "if its numbers are thousandths multiply them by 0.001",
         gain < 0 ? "axis is" : "masses are");

@@ -204,7 +204,7 @@ TEST_F(Pendulum, TorqueThatCountsTheOtherWayOrInThousandthsIsRefused) {
   EXPECT_THAT(
       std::string(Gates(0.5, 0.5, 1, 0.3, -1).message()),
       HasSubstr(
-          "over 1 logs its torque is -1.002 times what its motion asks of the model's masses and "
+          "over 1 log its torque is -1.002 times what its motion asks of the model's masses and "
           "gravity; if it counts the other way multiply it by -1"));
   EXPECT_THAT(std::string(Gates(0.5, 0.5, 1, 0.3, 1000).message()),
               HasSubstr("thousandths multiply them by 0.001"));

@@ -106,4 +106,8 @@ std::string Npy(const std::vector<double>& values, const std::string& shape,
   return npy;
 }
 
+std::string InitFile(int rows) {
+  return Zip("archive/data.pkl", Pickle(std::vector<double>(rows), rows, 1));
+}
+
 }  // namespace robostress::libero

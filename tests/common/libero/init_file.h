@@ -16,6 +16,9 @@ std::string Unicode(const std::string& utf8);
 // NumPy's pickle (protocol 2) of a float64 matrix [rows, columns], as LIBERO's files hold it.
 std::string Pickle(const std::vector<double>& values, int rows, int columns);
 
+// A file of so many initial states, each of one number.
+std::string InitFile(int rows);
+
 // NumPy's .npy of a float64 matrix, version 1, with this text for its shape.
 std::string Npy(const std::vector<double>& values, const std::string& shape,
                 const std::string& order = "False", const std::string& type = "<f8");

@@ -310,8 +310,7 @@ TEST(Plan, APolicyOfAnotherServerMovesAPanda) {
 }
 
 void WriteStates(const std::filesystem::path& file, int rows) {
-  const std::string pickle = libero::Pickle(std::vector<double>(rows), rows, 1);
-  ASSERT_TRUE(WriteFileAtomically(file.string(), libero::Zip("states/data.pkl", pickle)).ok());
+  ASSERT_TRUE(WriteFileAtomically(file.string(), libero::InitFile(rows)).ok());
 }
 
 TEST(Plan, FaultsThatAllTasksOfAFolderShareAreSaidInAFewLines) {

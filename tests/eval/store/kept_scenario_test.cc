@@ -12,6 +12,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"
+#include "tests/common/libero/init_file.h"
 #include "tests/eval/synthetic_run.h"
 
 namespace robostress {
@@ -109,7 +110,7 @@ class KeptTasks : public KeptScenario {
   void SetUp() override {
     fs::create_directories(tasks_);
     Write(name_ + "/put_it_there.bddl", "(define (problem first))");
-    Write(name_ + "/put_it_there.pruned_init", "states");
+    Write(name_ + "/put_it_there.pruned_init", libero::InitFile(3));
     SweepGrid grid = ExpertGrid("somewhere");
     grid.libero_tasks = {tasks_};
     grid_ = *ResolveGrid(grid);

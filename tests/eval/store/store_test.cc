@@ -7,6 +7,7 @@
 #include "eval/store/run_store.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "tests/common/libero/init_file.h"
 #include "tests/eval/grid_programs.h"
 #include "tests/eval/synthetic_run.h"
 
@@ -181,8 +182,10 @@ TEST_F(Store, ScenarioFilesAreComparedByWhatTheyHold) {
 TEST_F(Store, RunsOfATaskFolderAreReadWithAndWithoutIt) {
   const std::string tasks = folder_ + "/my_tasks";
   fs::create_directories(tasks);
-  for (const char* name : {"one.bddl", "one.init", "two.bddl", "two.init"})
-    Write(absl::StrCat("my_tasks/", name), "");
+  for (const char* name : {"one", "two"}) {
+    Write(absl::StrCat("my_tasks/", name, ".bddl"), "");
+    Write(absl::StrCat("my_tasks/", name, ".init"), libero::InitFile(2));
+  }
   ASSERT_EQ(Run("sweep", "--libero-tasks '" + tasks +
                              "' --libero-root here --robosuite-root here --episodes 2 --scenarios "
                              "clean,heavy_payload --policies expert --methods base --no-report" +
