@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <map>
 #include <set>
 
 #include "absl/algorithm/container.h"
@@ -25,6 +26,7 @@
 #include "common/wire/remote_policy.h"
 #include "eval/plan/grid_overrides.h"
 #include "eval/plan/plan.h"
+#include "eval/plan/titles.h"
 
 namespace robostress {
 namespace {
@@ -170,8 +172,16 @@ void CheckRemote(const SweepGrid& grid, const RobotInfo& robot, PolicyHome home,
 
 void CheckScenarios(const SweepGrid& grid, const RobotInfo& robot, Complaints& complaints) {
   std::vector<std::string> built_in, labels;
+  std::map<std::string, std::string> titled;  // what a table's row is called, and by whom
   for (const std::string& scenario : grid.scenarios) {
     labels.push_back(ScenarioLabel(scenario));
+    const std::string title = ScenarioTitle(scenario);
+    if (const auto [other, added] = titled.emplace(title, scenario);
+        !added && ScenarioLabel(other->second) != labels.back()) {
+      complaints.Add(absl::StrCat("scenarios ", other->second, " and ", scenario,
+                                  " have one title, '", title,
+                                  "': no table could tell them apart; give a file another"));
+    }
     if (!IsScenarioFile(scenario)) {
       built_in.push_back(scenario);
     } else if (const auto file = ReadScenarioFile(scenario, robot.description); !file.ok()) {

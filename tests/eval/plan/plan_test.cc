@@ -313,6 +313,25 @@ void WriteStates(const std::filesystem::path& file, int rows) {
   ASSERT_TRUE(WriteFileAtomically(file.string(), libero::InitFile(rows)).ok());
 }
 
+TEST(Plan, TwoScenariosOfOneTitleAreRefused) {
+  const std::string worn = ::testing::TempDir() + "/worn.yaml",
+                    old = ::testing::TempDir() + "/old.yaml";
+  const auto write = [](const std::string& file, const std::string& title) {
+    ASSERT_TRUE(WriteFileAtomically(file, "title: " + title + "\nbase: clean\njoints: []\n").ok());
+  };
+  SweepGrid grid;
+  grid.scenarios = {"clean", worn, old};
+  write(worn, "Worn elbow");
+  write(old, "Worn elbow");
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("scenarios " + worn + " and " + old + " have one title, 'Worn elbow'"));
+  write(old, "Clean");
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("scenarios clean and " + old + " have one title, 'Clean'"));
+  write(old, "Old elbow");
+  EXPECT_TRUE(ResolveGrid(grid).ok()) << ResolveGrid(grid).status();
+}
+
 TEST(Plan, FaultsThatAllTasksOfAFolderShareAreSaidInAFewLines) {
   const std::filesystem::path folder =
       std::filesystem::path(::testing::TempDir()) / "plan" / "libero_many";
