@@ -26,6 +26,16 @@ PRIMARY = ("ours_replanning", "base")
 SECONDARY = [("ours_replanning", "gain"), ("ours_replanning", "smooth_fewer_rows"), ("smooth_fewer_rows", "base")]
 # Thought of after the result of smooth_fewer_rows.
 EXPLORED = [("ours_replanning", "gain_two_rows"), ("gain_two_rows", "smooth_fewer_rows")]
+# At the paper's length, against base; states 0 and 1 had been seen before it was declared.
+LENGTH = ["paper", "ours_replanning"]
+
+
+def unseen_states(task, state):
+    return state >= 2
+
+
+def last_tasks(task, state):
+    return task >= 5
 
 
 def part_of(folder, method, part):
@@ -193,27 +203,52 @@ def severity_table(folder, methods):
             row(f"{method} - base", [f"L5 less L{shared[0]}", text, f"p {sign_flip_p(growth):.2g}"])
 
 
+def only(tables, keep):
+    """The same tables with the episodes of which keep(number of the task, state) holds."""
+    return {m: {c: {task: kept for task, pairs in tasks.items()
+                    if (kept := {key: v for key, v in pairs.items() if keep(task[1], key[1])})} for c, tasks in t.items()}
+            for m, t in tables.items()}
+
+
 def length_table(folder, methods, scenario):
     """The paper's length under one scenario: all tasks, the last five of each suite, the states of part seven and the others."""
     tables = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, scenario).items()})}
     if not tables:
-        return
+        return {}
     refuse_unlike(scenario, tables)
     print(f"\n{scenario} at the paper's length: success [%], n")
     for method, table in tables.items():
         suites = sorted({suite for suite, _ in table[scenario]})
         rates = [rate({scenario: {k: v for k, v in table[scenario].items() if k[0] == s}}, scenario) for s in suites]
         row(method, ["{:.1f}, {}".format(*rate(table, scenario)), *(f"{s} {r:.1f}, {n}" for s, (r, n) in zip(suites, rates))])
-
-    def only(keep):
-        return {m: {scenario: {task: kept for task, pairs in t[scenario].items()
-                               if (kept := {key: v for key, v in pairs.items() if keep(task[1], key[1])})}}
-                for m, t in tables.items()}
-
     against_base(tables, {"all tasks": [scenario]})
-    against_base(only(lambda task, state: task >= 5), {"the last five tasks of each suite": [scenario]})
-    against_base(only(lambda task, state: state < 2), {"states 0 and 1": [scenario]})
-    against_base(only(lambda task, state: state >= 2), {"states from 2 on": [scenario]})
+    against_base(only(tables, last_tasks), {"the last five tasks of each suite": [scenario]})
+    against_base(only(tables, lambda task, state: state < 2), {"states 0 and 1": [scenario]})
+    against_base(only(tables, unseen_states), {"states from 2 on": [scenario]})
+    return tables
+
+
+def length_summary(lengths):
+    """Over those of the seven that base and both others have: as declared, Holm over the two."""
+    played = [s for s in SEVEN if {"base", *LENGTH} <= set(lengths[s])]
+    if not played:
+        return
+    tables = {m: {s: lengths[s][m][s] for s in played} for m in ("base", *LENGTH)}
+    print(f"\nThe paper's length, mean over {len(played)} of the seven: {', '.join(played)}")
+    for method, table in tables.items():
+        row(method, [f"{sum(rate(table, s)[0] for s in played) / len(played):.1f}", f"n {len(played) * rate(table, played[0])[1]}"])
+    for name, keep in (("states from 2 on", unseen_states), ("all", lambda task, state: True),
+                       ("the last five tasks of each suite", last_tasks)):
+        part = only(tables, keep)
+        p_values = holm([sign_flip_p(differences(part[m], part["base"], played)[0]) for m in LENGTH])
+        for method, p in zip(LENGTH, p_values):
+            row(f"{method} - base", [name, cell(part[method], part["base"], played), f"by Holm over {len(LENGTH)} {p:.2g}"])
+    part = only(tables, unseen_states)
+    for method in LENGTH:
+        p_values = holm([sign_flip_p(differences(part[method], part["base"], [s])[0]) for s in played])
+        for scenario, p in zip(played, p_values):
+            row(f"{method} - base", [f"states from 2 on, {scenario}", cell(part[method], part["base"], [scenario], False),
+                                     f"by Holm over {len(played)} {p:.2g}"])
 
 
 def residual(runs):
@@ -249,8 +284,7 @@ def main():
     updates_table(folder, methods)
     noise_table(folder, methods)
     severity_table(folder, methods)
-    for scenario in ("heavy_payload", "thermal_drift_stribeck"):
-        length_table(folder, methods, scenario)
+    length_summary({scenario: length_table(folder, methods, scenario) for scenario in ["clean", *SEVEN]})
 
 
 if __name__ == "__main__":

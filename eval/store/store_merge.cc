@@ -7,6 +7,7 @@
 #include <set>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
@@ -21,28 +22,18 @@ absl::Status FileError(const std::string& what, const std::error_code& error) {
   return absl::UnavailableError(absl::StrCat(what, ": ", error.message()));
 }
 
-absl::Status CopyFolder(const fs::path& from, const fs::path& to) {
-  RS_RETURN_IF_ERROR(MakeDirectories(to.string()));
-  std::error_code error;
-  for (fs::recursive_directory_iterator at(from, error), end; !error && at != end;
-       at.increment(error)) {
-    const std::string target = (to / fs::relative(at->path(), from)).string();
-    if (at->is_directory()) {
-      RS_RETURN_IF_ERROR(MakeDirectories(target));
-      continue;
-    }
-    RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(at->path().string()));
-    RS_RETURN_IF_ERROR(WriteFileAtomically(target, text));
-  }
-  if (error) return FileError(absl::StrCat("cannot copy ", from.string()), error);
-  return absl::OkStatus();
-}
-
 absl::Status CopyUnit(const std::string& from, const RunDirectory& target, const std::string& id) {
   const std::string staged = absl::StrCat(target.path(), "/merging/", id);
   std::error_code error;
   fs::remove_all(staged, error);
-  RS_RETURN_IF_ERROR(CopyFolder(from, staged));
+  RS_RETURN_IF_ERROR(MakeDirectories(target.path() + "/merging"));
+  fs::copy(from, staged, fs::copy_options::recursive, error);
+  if (error) {  // "Input/output error" where a disk is full
+    std::error_code ignored;
+    const double free = fs::space(target.path(), ignored).available / 1e6;
+    return FileError(
+        absl::StrFormat("cannot copy %s to %s, where %.3g MB are free", from, staged, free), error);
+  }
   fs::remove_all(target.Unit(id), error);  // one that was begun and never finished
   fs::rename(staged, target.Unit(id), error);
   if (error) return FileError(absl::StrCat("cannot publish ", target.Unit(id)), error);
