@@ -61,9 +61,11 @@ double CostModel::EpisodeSeconds(const UnitConfig& config) const {
     if (sum != sums_.end()) return sum->second.wall_s / sum->second.episodes;
   }
   const int horizon = HorizonOf(config);
-  if (RunsInWorker(config.policy)) return horizon * kExpertStep_s;
+  const SuiteInfo* suite = FindSuite(config.suite);
+  const bool libero = suite != nullptr && suite->needs_libero;
+  if (RunsInWorker(config.policy)) return horizon * (libero ? kLiberoExpertStep_s : kExpertStep_s);
   double step_s = kServedStep_s;
-  if (const SuiteInfo* suite = FindSuite(config.suite); suite != nullptr && suite->needs_libero) {
+  if (libero) {
     step_s =
         config.sim.pictures == SimOptions::kOriginalPictures ? kLiberoStep_s : kLiberoPlainStep_s;
   }

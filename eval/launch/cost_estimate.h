@@ -14,12 +14,14 @@ namespace robostress {
 // was recorded (timing.jsonl of finished units) and, where nothing comparable was, from stated
 // defaults: policies in the worker kExpertStep_s, served ones kServedStep_s per control step of the
 // suite's horizon, times kUpdateFactor where a method adapts. They are orders of magnitude of one
-// core and `nano`; LIBERO's are docs/results/libero-pictures.md's, mean of four suites.
+// core and `nano`; LIBERO's are docs/results/libero-pictures.md's and libero-experts.md's, mean of
+// four suites.
 class CostModel {
  public:
   static constexpr double kExpertStep_s = 0.0012;
   static constexpr double kServedStep_s = 0.006;
-  static constexpr double kLiberoStep_s = 0.044, kLiberoPlainStep_s = 0.014;
+  static constexpr double kLiberoStep_s = 0.044, kLiberoPlainStep_s = 0.014,
+                          kLiberoExpertStep_s = 0.003;
   static constexpr double kUpdateFactor = 1.4;
 
   // Reads the finished units of `run`, at most `sample` of them, evenly spread.

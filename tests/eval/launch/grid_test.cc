@@ -121,6 +121,9 @@ TEST(Cost, PicturesAsTheOriginalsTakeLonger) {
   plain.sim.pictures = SimOptions::kPlainPictures;
   EXPECT_GT(model.EpisodeSeconds(original), 2.5 * model.EpisodeSeconds(plain));
   EXPECT_LT(model.EpisodeSeconds(original), 4 * model.EpisodeSeconds(plain));
+  UnitConfig expert = original;
+  expert.policy = "expert";
+  EXPECT_NEAR(model.EpisodeSeconds(expert), 1, 0.3);
 }
 
 TEST(Processor, KindIsModelAndInstructionSets) {
