@@ -104,11 +104,11 @@ bool CommandCorrection::set_state(const State& state) {
   return true;
 }
 
-NominalArmOptions NominalArmOf(const SessionSetting& setting) {
+NominalArmOptions NominalArmOf(const SessionSetting& setting, const MethodOptions& method) {
   NominalArmOptions options;
   options.goal_reference = setting.goal_reference;
   options.control_period_s = setting.control_period_s;
-  return options;
+  return method.Coupled(options);
 }
 
 ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& method) {

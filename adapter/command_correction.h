@@ -56,7 +56,7 @@ class CommandCorrection {
 };
 
 // Of a session.
-NominalArmOptions NominalArmOf(const SessionSetting& setting);
+NominalArmOptions NominalArmOf(const SessionSetting& setting, const MethodOptions& method);
 ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& method);
 
 // The chunk that is sent: the policy's with the method's gain, `correction` (of the arm's entries;

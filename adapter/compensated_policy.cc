@@ -34,7 +34,7 @@ CompensatedPolicy::CompensatedPolicy(PolicyEndpoint* policy, const SessionSettin
     : policy_(policy),
       method_(method),
       residual_(ResidualOf(setting, method)),
-      correction_(method, residual_, NominalArmOf(setting)),
+      correction_(method, residual_, NominalArmOf(setting, method)),
       running_(correction_) {}
 
 absl::StatusOr<std::unique_ptr<CompensatedPolicy>> CompensatedPolicy::Create(

@@ -30,9 +30,10 @@ void IntegralAction::StartEpisode() {
 
 void IntegralAction::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
-    const Vector6 nominal = arm_.Step(chunk.steps[i].sent_command.head<6>().cast<double>());
+    const ExecutedStep& step = chunk.steps[i];
+    const Vector6 nominal = arm_.Step(step.sent_command.head<6>().cast<double>(), step.before.q);
     if (chunk.IsMasked(i)) continue;
-    const Vector6 achieved = AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), residual_);
+    const Vector6 achieved = AchievedDelta(step.before, StateAfter(chunk, i), residual_);
     for (int axis = 0; axis < axes_; ++axis) {
       const double disturbance = (achieved[axis] - nominal[axis]) / residual_.tracking_gain;
       estimate_[axis] += options_.rate * (disturbance - estimate_[axis]);

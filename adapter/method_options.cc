@@ -20,6 +20,16 @@ bool MethodOptions::Compensates() const {
   return any;
 }
 
+NominalArmOptions MethodOptions::Coupled(NominalArmOptions arm) const {
+  arm.panda_coupling = panda_coupling;
+  return arm;
+}
+
+bool MethodOptions::ModelsArm() const {
+  return Find<IntegralOptions>() != nullptr || Find<FollowingOptions>() != nullptr ||
+         Find<CalibratorOptions>() != nullptr || (adapts() && NeedsNominalArm(target));
+}
+
 bool MethodOptions::Corrects() const {
   bool any = false;
   ForEachWay([&any]<class Way>(const Way&) {
@@ -64,6 +74,12 @@ absl::Status MethodOptions::Check() const {
                    "every_step needs a method that corrects or smooths commands and adapts no "
                    "weights but towards what is sent: direct, ours_integral, ours_following, "
                    "smooth, or target=sent");
+  }
+  if (panda_coupling && !ModelsArm()) {
+    return Invalid(
+        *this,
+        "panda_coupling changes the nominal arm, with which it compares nothing; give it "
+        "to ours_integral, ours_following or ours_nominal");
   }
   if (smoothing != 0 && !every_step)
     return Invalid(*this, "smoothing is done at every control step; set every_step=true");

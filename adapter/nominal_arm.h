@@ -13,19 +13,21 @@ struct NominalArmOptions {
   int sub_steps = 25;              // physics steps per command
   double kp = 150;                 // [1/s^2]
   double damping_ratio = 1;        // kd = 2 * damping_ratio * sqrt(kp) [1/s]
+  bool panda_coupling = false;     // C of panda_coupling.h; else the identity
 };
 
-// Displacement that a nominal Clean arm gives to a sequence of commands. With task-space inertia
-// decoupled and gravity compensated, the controller leaves per axis a unit mass:
+// Displacement that a nominal Clean arm gives to a sequence of commands. With gravity compensated
+// the controller leaves a unit mass on each axis, coupled where it takes no account of how turning
+// accelerates the tool, and the tool's acceleration turns it:
 //
 //   goal = x + a  (achieved)   or   goal = goal + a  (desired)       at the start of a control step
-//   v <- v + h (kp (goal - x) - kd v),   x <- x + h v                per sub-step, semi-implicit
+//   v <- v + h C (kp (goal - x) - kd v),   x <- x + h v              per sub-step, semi-implicit
 //   Euler
 //
 // x, v, goal are in normalised command units (1 = 0.05 m or 0.5 rad), so the same filter serves all
 // six axes. The velocity is carried along the episode. As in OSC_POSE the rotation goal stays where
-// it was when all three rotation commands are exactly zero. Constant command: steady gain 0.267 for
-// achieved, 1 for desired.
+// it was when all three rotation commands are exactly zero. Constant command, C = 1: steady gain
+// 0.267 for achieved, 1 for desired.
 class NominalArm {
  public:
   using Vector6 = Eigen::Matrix<double, 6, 1>;
@@ -38,13 +40,14 @@ class NominalArm {
   explicit NominalArm(const NominalArmOptions& options) : options_(options) {}
 
   void Reset() { state_ = {}; }  // at rest, goal reached; start of an episode
-  // Above every state of an arm that settles (a control period of up to 1.6 s); the semi-implicit
-  // steps of a longer one do not, and their state is left as it was.
+  // Above every state of an arm that settles (a control period of up to 1.6 s, coupled 0.8 s); the
+  // semi-implicit steps of a longer one do not, and their state is left as it was.
   static constexpr double kMaxState = 1e6;
 
-  // One control step; `command` is clipped to +-1 as the controller does. Returns the displacement
-  // [6]; zero where the state would pass kMaxState, which then stays.
-  Vector6 Step(const Vector6& command);
+  // One control step; `command` is clipped to +-1 as the controller does. `q`: joint positions at
+  // its start, for the coupling. Returns the displacement [6]; zero where the state would pass
+  // kMaxState, which then stays.
+  Vector6 Step(const Vector6& command, const Eigen::VectorXd& q = {});
 
   const State& state() const { return state_; }
   void set_state(const State& state) { state_ = state; }

@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
-"""How much of what the nominal arm is wrong by comes with turning: eval/docs/turning_tool.py RUN
+"""What the nominal arm is wrong by in Clean, with and without the controller's coupling: eval/docs/turning_tool.py RUN
 
-RUN: of `robostress sweep --scenarios clean --methods base --record-episodes PX`. Translation and rotation commands go through
-the nominal arm (adapter/nominal_arm.h); what it moves more than the arm did, x, y, z of a step, is fitted by what it turns:
-e = C r, C [3, 3] of each episode. Prints, a line a task: |e| (root mean square, normalised commands), the share of its
-variance that C r explains, and |C|. Needs NumPy.
+RUN: of `robostress sweep --scenarios clean --methods base --record-episodes PX` on LIBERO. OSC_POSE with uncouple_pos_ori leaves
+the tool's acceleration at C f, C = A Lambda, A = J M^-1 J^T, Lambda = diag(A_pp^-1, A_rr^-1), from the recorded model. Sent
+commands go through the nominal arm (adapter/nominal_arm.h) without coupling, with C of LIBERO's home posture
+(NominalArmOptions::PandaCoupling) and with C of each step's own posture. Prints C of the home posture and its mean and standard
+deviation over all steps [normalised commands], and of each task: the root mean square of what the nominal arm moves the tool more
+than the arm did in a step, and the 90th percentile of the shortfall that following sees (x and y, memory of 10 steps), both for
+the three arms. Needs NumPy and MuJoCo's Python (3.2 or later).
 """
 
 import json
@@ -12,9 +15,12 @@ import pathlib
 import struct
 import sys
 
+import mujoco
 import numpy as np
 
-KP, SUB_STEPS, STEP_S, COMMAND_M = 150, 25, 0.002, 0.05
+KP, SUB_STEPS, STEP_S, MEMORY = 150, 25, 0.002, 10
+SCALE = np.array([0.05] * 3 + [0.5] * 3)
+HOME = np.array([0, -0.161037389, 0, -2.44459747, 0, 2.2267522, np.pi / 4])
 
 
 def tensors(path):
@@ -27,16 +33,52 @@ def tensors(path):
                    for k, v in header.items() if v["dtype"] in kinds}
 
 
-def nominal(commands):
-    """Displacements [n, 6] of the nominal arm, goal achieved."""
-    velocity, moved = np.zeros(6), []
-    for command in np.clip(commands[:, :6], -1, 1):
+def couplings(model, postures):
+    """C [n, 6, 6] of joint positions [n, 7]."""
+    data = mujoco.MjData(model)
+    joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"robot0_joint{i}") for i in range(1, 8)]
+    dofs = model.jnt_dofadr[joints]
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "gripper0_grip_site")
+    unit, column, found = np.eye(model.nv), np.zeros(model.nv), []
+    for q in postures:
+        data.qpos[model.jnt_qposadr[joints]] = q
+        mujoco.mj_fwdPosition(model, data)
+        mass = np.zeros((7, 7))
+        for i, dof in enumerate(dofs):
+            mujoco.mj_mulM(model, data, column, unit[dof])
+            mass[:, i] = column[dofs]
+        move, turn = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, move, turn, site)
+        jacobian = np.vstack([move[:, dofs], turn[:, dofs]])
+        inverse = jacobian @ np.linalg.solve(mass, jacobian.T)
+        inertia = np.zeros((6, 6))
+        inertia[:3, :3] = np.linalg.inv(inverse[:3, :3])
+        inertia[3:, 3:] = np.linalg.inv(inverse[3:, 3:])
+        found.append((inverse @ inertia) * SCALE / SCALE[:, None])
+    return np.array(found)
+
+
+def nominal(commands, coupling):
+    """Displacements [n, 6] of the nominal arm, goal achieved; coupling [n, 6, 6] or [6, 6]."""
+    velocity, goal, moved = np.zeros(6), np.zeros(6), []
+    for command, c in zip(np.clip(commands[:, :6], -1, 1), np.broadcast_to(coupling, (len(commands), 6, 6))):
+        goal = np.r_[command[:3], command[3:] if command[3:].any() else goal[3:]]
         x = np.zeros(6)
         for _ in range(SUB_STEPS):
-            velocity = velocity + STEP_S * (KP * (command - x) - 2 * KP ** 0.5 * velocity)
+            velocity = velocity + STEP_S * c @ (KP * (goal - x) - 2 * KP ** 0.5 * velocity)
             x = x + STEP_S * velocity
+        goal = goal - x
         moved.append(x)
     return np.array(moved)
+
+
+def shortfall(errors):
+    """90th percentile of |e|, x and y: e <- (1 - 1 / MEMORY) e + error."""
+    behind, sizes = np.zeros(2), []
+    for error in errors[:, :2]:
+        behind = (1 - 1 / MEMORY) * behind + error
+        sizes.append(np.hypot(*behind))
+    return np.percentile(sizes, 90)
 
 
 def main():
@@ -45,20 +87,26 @@ def main():
     files = sorted(pathlib.Path(sys.argv[1]).glob("units/*/episodes/*.safetensors"))
     if not files:
         raise SystemExit(f"{sys.argv[1]}/units/*/episodes has no recorded episode: sweep it with --record-episodes")
-    rows = []
+    rows, all_couplings, home = [], [], None
     for path in files:
         about, tensor = tensors(path)
-        asked = nominal(tensor["sent"])[:-1]
-        error = asked[:, :3] - np.diff(tensor["tool"][:, :3], axis=0) / COMMAND_M
-        coupling, *_ = np.linalg.lstsq(asked[:, 3:], error, rcond=None)
-        share = 1 - np.sum((error - asked[:, 3:] @ coupling) ** 2) / np.sum(error ** 2)
-        rows.append((about["suite"], int(about["task"]), np.sqrt(np.mean(np.sum(error ** 2, axis=1))), share,
-                     np.linalg.norm(coupling), len(error)))
-    print("suite, task | |e| | explained | |C| | steps")
-    for suite, task, size, share, norm, steps in sorted(rows):
-        print(f"{suite} {task} | {size:.3f} | {share:.2f} | {norm:.2f} | {steps}")
-    shares = sorted(r[3] for r in rows)
-    print(f"{len(rows)} episodes, median explained {shares[len(shares) // 2]:.2f}")
+        model = mujoco.MjModel.from_xml_string(about["model_file"])
+        if home is None:
+            home = couplings(model, [HOME])[0]
+        own = couplings(model, tensor["q"])
+        all_couplings.append(own)
+        moved = np.diff(tensor["tool"][:, :3], axis=0) / SCALE[0]
+        errors = [nominal(tensor["sent"], c)[:-1, :3] - moved for c in (np.eye(6), home, own)]
+        rows.append((about["suite"], int(about["task"]), [np.sqrt(np.mean(np.sum(e ** 2, axis=1))) for e in errors],
+                     [shortfall(e) for e in errors]))
+    np.set_printoptions(precision=3, suppress=True)
+    steps = np.concatenate(all_couplings)
+    print(f"C of the home posture\n{home}\nmean over {len(steps)} steps\n{steps.mean(0)}\nstandard deviation\n{steps.std(0)}")
+    print("suite, task | error: none, home, own | shortfall: none, home, own")
+    text = lambda values: " ".join(f"{v:.3f}" for v in values)
+    for suite, task, error, behind in sorted(rows):
+        print(f"{suite} {task} | {text(error)} | {text(behind)}")
+    print(f"median of {len(rows)} | {text(np.median([r[2] for r in rows], 0))} | {text(np.median([r[3] for r in rows], 0))}")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ struct robostress_compensator {
       : method(with),
         policy(policy),
         residual(robostress::ResidualOf(setting, with)),
-        correction(with, residual, robostress::NominalArmOf(setting)),
+        correction(with, residual, robostress::NominalArmOf(setting, with)),
         running(correction) {}
 
   robostress::MethodOptions method;

@@ -38,7 +38,7 @@ Learner::Learner(const SessionSpec* spec, std::shared_ptr<const FlowPolicy> poli
       lora_(LoraOf(*spec)),
       buffer_(lora_.buffer_chunks),
       schedule_(lora_.buffer_chunks, lora_.update_interval),
-      arm_(NominalArmOf(*spec)) {}
+      arm_(NominalArmOf(*spec, *spec->method)) {}
 
 absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const SessionSpec* spec,
                                                          std::shared_ptr<const FlowPolicy> policy,

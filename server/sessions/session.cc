@@ -34,7 +34,7 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       owner_(owner),
       residual_options_(ResidualOf(spec, *spec.method)),
       rules_(&spec_, resources_.policy.get()),
-      correction_(*spec.method, residual_options_, NominalArmOf(spec)) {}
+      correction_(*spec.method, residual_options_, NominalArmOf(spec, *spec.method)) {}
 
 Session::~Session() = default;
 

@@ -9,8 +9,9 @@ namespace robostress {
 // A nominal arm whose commands are scaled by `gain` and shifted by `disturbance` on their way.
 class DisturbedArm {
  public:
-  DisturbedArm(double gain, const NominalArm::Vector6& disturbance)
-      : gain_(gain), disturbance_(disturbance) {}
+  DisturbedArm(double gain, const NominalArm::Vector6& disturbance,
+               const NominalArmOptions& nominal = {})
+      : gain_(gain), disturbance_(disturbance), arm_(nominal) {}
 
   // Executes `command` minus `correction` for `steps` control steps, as one chunk.
   ExecutedChunk Execute(const NominalArm::Vector6& command, const NominalArm::Vector6& correction,
@@ -42,7 +43,7 @@ class DisturbedArm {
 
   double gain_;
   NominalArm::Vector6 disturbance_, motion_ = NominalArm::Vector6::Zero();
-  NominalArm arm_{NominalArmOptions()};
+  NominalArm arm_;
   RobotState state_;
 };
 

@@ -104,6 +104,15 @@ TEST(Methods, AModelOfTheArmIsDoneBesideItAndAlone) {
   }
 }
 
+TEST(Methods, ACouplingNeedsANominalArm) {
+  for (const char* name : {"ours_integral", "ours_following", "ours_nominal", "ours_replanning"})
+    EXPECT_TRUE(MakeMethod(name, {"panda_coupling=true"})->Check().ok()) << name;
+  for (const char* name : {"base", "ours", "direct", "smooth"})
+    EXPECT_THAT(Message(MakeMethod(name, {"panda_coupling=true"})->Check()),
+                HasSubstr("panda_coupling changes the nominal arm"))
+        << name;
+}
+
 TEST(Methods, ADumpNamesEveryOptionInItsOldOrder) {
   std::vector<std::string> keys;
   for (const auto& entry : YAML::Load(DumpConfig(*MakeMethod("ours_following"))))

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "adapter/nominal_arm.h"
+#include "adapter/panda_coupling.h"
 #include "sim_worker/panda_model.h"
 #include "tests/sim_worker/test_scene.h"
 
@@ -68,6 +70,63 @@ TEST(PandaSim, MovesAlongTheCommandedDirection) {
   const Eigen::Vector3d moved = sim->Measure().tool.p_base_tool - before.tool.p_base_tool;
   EXPECT_GT(moved.y(), 0.1);
   EXPECT_LT(std::hypot(moved.x(), moved.z()), 0.02);
+}
+
+// Beside the simulator's own masses and kinematics.
+TEST(PandaSim, ThePandasCouplingIsThatOfItsModel) {
+  auto sim = MakeTestSim();
+  const absl::StatusOr<PandaModel> panda = PandaModel::Find(sim->model());
+  ASSERT_TRUE(panda.ok()) << panda.status();
+  const std::unique_ptr<mjData, decltype(&mj_deleteData)> data(mj_makeData(&sim->model()),
+                                                               mj_deleteData);
+  srand(11);
+  const Eigen::Matrix<double, 6, 1> scale =
+      (Eigen::Matrix<double, 6, 1>() << 0.05, 0.05, 0.05, 0.5, 0.5, 0.5).finished();
+  double worst = 0;
+  for (int k = 0; k < 50; ++k) {
+    const Eigen::VectorXd q = PandaHome() + 0.6 * Eigen::VectorXd::Random(7);
+    for (int i = 0; i < 7; ++i) data->qpos[panda->qpos[i]] = q[i];
+    mj_fwdPosition(&sim->model(), data.get());
+    ArmState arm;
+    ReadArm(sim->model(), *data, *panda, arm);
+    const Eigen::Matrix<double, 6, 6> A = arm.J * arm.M.inverse() * arm.J.transpose();
+    Eigen::Matrix<double, 6, 6> Lambda = Eigen::Matrix<double, 6, 6>::Zero();
+    Lambda.topLeftCorner<3, 3>() = A.topLeftCorner<3, 3>().inverse();
+    Lambda.bottomRightCorner<3, 3>() = A.bottomRightCorner<3, 3>().inverse();
+    const Eigen::Matrix<double, 6, 6> C =
+        scale.cwiseInverse().asDiagonal() * (A * Lambda) * scale.asDiagonal();
+    worst = std::max(worst, (PandaCoupling(q) - C).norm() / C.norm());
+  }
+  printf("largest relative difference %g\n", worst);
+  EXPECT_LT(worst, 1e-5);
+}
+
+// OSC_POSE drives position and orientation apart: an arm that turns moves its tool, as the coupled
+// nominal arm says and the one without does not.
+TEST(PandaSim, ATurnMovesTheToolAsTheCoupledNominalArmSays) {
+  NominalArmOptions options;
+  options.panda_coupling = true;
+  for (int axis = 3; axis < 6; ++axis) {
+    for (const float size : {0.2F, -0.3F}) {
+      auto sim = MakeTestSim();
+      ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+      NominalArm coupled(options), apart({});
+      Eigen::VectorXf command = Command(0, 0, 0);
+      command[axis] = size;
+      double wrong = 0, wrong_apart = 0;
+      for (int i = 0; i < 6; ++i) {
+        const RobotState before = sim->Measure();
+        ASSERT_TRUE(sim->Step(command).ok());
+        const Eigen::Vector3d moved =
+            (sim->Measure().tool.p_base_tool - before.tool.p_base_tool) / 0.05;
+        const Eigen::VectorXd asked = command.head<6>().cast<double>();
+        wrong += (coupled.Step(asked, before.q).head<3>() - moved).squaredNorm();
+        wrong_apart += (apart.Step(asked).head<3>() - moved).squaredNorm();
+      }
+      printf("axis %d size %g: %g of %g\n", axis, size, wrong, wrong_apart);
+      EXPECT_LT(wrong, 0.05 * wrong_apart) << axis << " " << size;
+    }
+  }
 }
 
 // The share of a command's displacement that the arm makes of it in a step, at steady state: of a
