@@ -108,7 +108,7 @@ NominalArmOptions NominalArmOf(const SessionSetting& setting, const MethodOption
   NominalArmOptions options;
   options.goal_reference = setting.goal_reference;
   options.control_period_s = setting.control_period_s;
-  return method.Coupled(options);
+  return method.NominalArmFrom(options);
 }
 
 ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& method) {

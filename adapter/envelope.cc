@@ -27,7 +27,7 @@ void Envelope::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
     Eigen::Vector3d nominal =
-        arm_.Step(step.sent_command.head<6>().cast<double>(), step.before.q).head<3>();
+        arm_.Step(step.sent_command.head<6>().cast<double>(), step.before).head<3>();
     Eigen::Vector3d moved = AchievedDelta(step.before, StateAfter(chunk, i), residual_).head<3>();
     if (chunk.IsMasked(i)) nominal = moved = Eigen::Vector3d::Zero();
     for (const auto& [recent, memory] : {std::pair{&short_, kShort}, std::pair{&long_, kLong}}) {

@@ -31,7 +31,7 @@ void IntegralAction::StartEpisode() {
 void IntegralAction::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
-    const Vector6 nominal = arm_.Step(step.sent_command.head<6>().cast<double>(), step.before.q);
+    const Vector6 nominal = arm_.Step(step.sent_command.head<6>().cast<double>(), step.before);
     if (chunk.IsMasked(i)) continue;
     const Vector6 achieved = AchievedDelta(step.before, StateAfter(chunk, i), residual_);
     for (int axis = 0; axis < axes_; ++axis) {

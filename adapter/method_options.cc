@@ -20,8 +20,8 @@ bool MethodOptions::Compensates() const {
   return any;
 }
 
-NominalArmOptions MethodOptions::Coupled(NominalArmOptions arm) const {
-  arm.panda_coupling = panda_coupling;
+NominalArmOptions MethodOptions::NominalArmFrom(NominalArmOptions arm) const {
+  arm.panda_dynamics = panda_dynamics;
   return arm;
 }
 
@@ -75,10 +75,10 @@ absl::Status MethodOptions::Check() const {
                    "weights but towards what is sent: direct, ours_integral, ours_following, "
                    "smooth, or target=sent");
   }
-  if (panda_coupling && !ModelsArm()) {
+  if (panda_dynamics && !ModelsArm()) {
     return Invalid(
         *this,
-        "panda_coupling changes the nominal arm, with which it compares nothing; give it "
+        "panda_dynamics changes the nominal arm, with which it compares nothing; give it "
         "to ours_integral, ours_following or ours_nominal");
   }
   if (smoothing != 0 && !every_step)

@@ -80,8 +80,8 @@ struct MethodOptions {
   // commands are chosen by predictions with it, beside the arm. Empty: none.
   std::string arm_model;
   static constexpr char kTrueModel[] = "truth";
-  // The nominal arm moves its tool when it turns, as robosuite's Panda does (nominal_arm.h).
-  bool panda_coupling = false;
+  // The nominal arm moves as robosuite's Panda does (panda_dynamics.h), not each axis by itself.
+  bool panda_dynamics = false;
   bool observer = false;  // the robot's client corrects by its disturbance observer, not the server
 
   // Null: the method does not have this way.
@@ -106,7 +106,7 @@ struct MethodOptions {
   bool adapts() const { return Find<LoraOptions>() != nullptr; }
   bool ModelsArm() const;  // compares with a nominal arm
   // The nominal arm of this method where `arm` is the one of its controller.
-  NominalArmOptions Coupled(NominalArmOptions arm) const;
+  NominalArmOptions NominalArmFrom(NominalArmOptions arm) const;
   bool Corrects() const;  // adds to commands by what it measured
   // Learns from motion, or corrects commands by it.
   bool Compensates() const;
@@ -166,9 +166,9 @@ struct MethodOptions {
            "chooses commands by predictions with a model of the arm: a scenario file with what was "
            "identified ({scenario} stands for the unit's), or truth: an upper bound; needs "
            "every_step");
-    v.Late(
-        "panda_coupling", panda_coupling, false,
-        "the nominal arm moves its tool when it turns, as robosuite's Panda under OSC_POSE does");
+    v.Late("panda_dynamics", panda_dynamics, false,
+           "the nominal arm moves as robosuite's Panda does under OSC_POSE: a turn shifts its "
+           "tool, a swing draws it in; false: each axis by itself");
     v.Late("observer", observer, false,
            "the robot's client corrects commands by its disturbance observer");
   }

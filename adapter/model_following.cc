@@ -32,7 +32,7 @@ void ModelFollowing::Observe(const ExecutedChunk& chunk) {
     const ExecutedStep& step = chunk.steps[i];
     const Eigen::VectorXf& asked =
         step.base_command.size() > 0 ? step.base_command : step.policy_command;
-    const Vector6 nominal = arm_.Step(asked.head<6>().cast<double>(), step.before.q);
+    const Vector6 nominal = arm_.Step(asked.head<6>().cast<double>(), step.before);
     shortfall_ *= 1 - 1 / options_.memory;
     if (chunk.IsMasked(i)) continue;
     shortfall_ +=

@@ -42,7 +42,7 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
         reference == TargetReference::kNominalIntent
             ? base.row(i).head<6>().transpose().cast<double>().eval()
             : chunk.steps[i].sent_command.head<6>().cast<double>().eval();
-    const NominalArm::Vector6 nominal = arm->Step(command, chunk.steps[i].before.q);
+    const NominalArm::Vector6 nominal = arm->Step(command, chunk.steps[i].before);
     if (chunk.IsMasked(i)) continue;
     residual.row(i).head<6>() =
         (AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), options) - nominal / divisor)

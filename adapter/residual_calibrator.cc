@@ -35,7 +35,7 @@ void ResidualCalibrator::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
     const Vector6 sent = step.sent_command.head<6>().cast<double>();
-    const Vector6 nominal = arm_.Step(sent, step.before.q);
+    const Vector6 nominal = arm_.Step(sent, step.before);
     if (chunk.IsMasked(i)) {
       phi_.setZero();
       continue;

@@ -4,7 +4,7 @@
 RUN: of `robostress sweep --scenarios clean --methods base --record-episodes PX` on LIBERO. OSC_POSE with uncouple_pos_ori leaves
 the tool's acceleration at C f, C = A Lambda, A = J M^-1 J^T, Lambda = diag(A_pp^-1, A_rr^-1), from the recorded model. Sent
 commands go through the nominal arm (adapter/nominal_arm.h) without coupling, with C of LIBERO's home posture
-(NominalArmOptions::PandaCoupling) and with C of each step's own posture. Prints C of the home posture and its mean and standard
+(NominalArmOptions::PandaDynamics) and with C of each step's own posture. Prints C of the home posture and its mean and standard
 deviation over all steps [normalised commands], and of each task: the root mean square of what the nominal arm moves the tool more
 than the arm did in a step, and the 90th percentile of the shortfall that following sees (x and y, memory of 10 steps), both for
 the three arms. Needs NumPy and MuJoCo's Python (3.2 or later).

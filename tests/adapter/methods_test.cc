@@ -104,12 +104,12 @@ TEST(Methods, AModelOfTheArmIsDoneBesideItAndAlone) {
   }
 }
 
-TEST(Methods, ACouplingNeedsANominalArm) {
+TEST(Methods, DynamicsNeedANominalArm) {
   for (const char* name : {"ours_integral", "ours_following", "ours_nominal", "ours_replanning"})
-    EXPECT_TRUE(MakeMethod(name, {"panda_coupling=true"})->Check().ok()) << name;
+    EXPECT_TRUE(MakeMethod(name, {"panda_dynamics=true"})->Check().ok()) << name;
   for (const char* name : {"base", "ours", "direct", "smooth"})
-    EXPECT_THAT(Message(MakeMethod(name, {"panda_coupling=true"})->Check()),
-                HasSubstr("panda_coupling changes the nominal arm"))
+    EXPECT_THAT(Message(MakeMethod(name, {"panda_dynamics=true"})->Check()),
+                HasSubstr("panda_dynamics changes the nominal arm"))
         << name;
 }
 

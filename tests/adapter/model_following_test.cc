@@ -63,14 +63,14 @@ TEST(ModelFollowing, StandsStillWhereTheArmIsNominal) {
   EXPECT_LT(following.correction().cwiseAbs().maxCoeff(), 1e-6);
 }
 
-// robosuite's Panda moves its tool when it turns: taken for a fault, or known.
-TEST(ModelFollowing, AHealthyArmThatTurnsIsBehindNothingWhereItsCouplingIsKnown) {
+// robosuite's Panda shifts its tool when it turns: taken for a fault, or known.
+TEST(ModelFollowing, AHealthyArmThatTurnsIsBehindNothingWhereItsDynamicsAreKnown) {
   NominalArmOptions panda;
-  panda.panda_coupling = true;
+  panda.panda_dynamics = true;
   const SessionSetting setting;
   for (const bool known : {false, true}) {
     const MethodOptions method =
-        Method({"integral_rate=0.1", known ? "panda_coupling=true" : "panda_coupling=false"});
+        Method({"integral_rate=0.1", known ? "panda_dynamics=true" : "panda_dynamics=false"});
     CommandCorrection correction(method, ResidualOf(setting, method),
                                  NominalArmOf(setting, method));
     DisturbedArm arm(1, Vector6::Zero(), panda);

@@ -1,4 +1,4 @@
-#include "adapter/panda_coupling.h"
+#include "adapter/panda_dynamics.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
@@ -7,7 +7,8 @@
 namespace robostress {
 namespace {
 
-using Coupling = Eigen::Matrix<double, 6, 6>;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+using Matrix6 = Eigen::Matrix<double, 6, 6>;
 using Jacobian = Eigen::Matrix<double, 3, 7>;
 
 // One link: its frame in the parent's, turned by `quarter` quarter turns about x and then about its
@@ -36,6 +37,7 @@ struct Piece {
   std::array<double, 3> inertia;
 };
 
+constexpr double kTranslation_m = 0.05, kRotation_rad = 0.5;  // of a command of 1
 constexpr double kHand_m = 0.1065;
 constexpr double kTool_m = kHand_m + 0.097;
 constexpr std::array<Piece, 4> kHand = {{
@@ -73,6 +75,7 @@ struct Chain {
     for (int i = 0; i <= last; ++i) moves.col(i) = R[i].col(2).cross(point - p[i]);
     return moves;
   }
+  Eigen::Vector3d Tool() const { return p[6] + kTool_m * R[6].col(2); }
   Jacobian Turns(int last) const {
     Jacobian turns = Jacobian::Zero();
     for (int i = 0; i <= last; ++i) turns.col(i) = R[i].col(2);
@@ -102,27 +105,54 @@ Eigen::Matrix<double, 7, 7> MassMatrix(const Chain& chain) {
   return M;
 }
 
-Coupling CouplingAt(const Eigen::VectorXd& q) {
-  const Chain chain(q);
+// In normalised command units.
+Vector6 Scaled(const Eigen::Vector3d& linear, const Eigen::Vector3d& angular) {
+  return (Vector6() << linear / kTranslation_m, angular / kRotation_rad).finished();
+}
+
+Matrix6 CouplingOf(const Chain& chain) {
   Eigen::Matrix<double, 6, 7> J;
-  J << chain.Moves(chain.p[6] + kTool_m * chain.R[6].col(2), 6) / 0.05, chain.Turns(6) / 0.5;
-  const Coupling A = J * MassMatrix(chain).llt().solve(J.transpose());
-  Coupling C = Coupling::Identity();
+  J << chain.Moves(chain.Tool(), 6) / kTranslation_m, chain.Turns(6) / kRotation_rad;
+  const Matrix6 A = J * MassMatrix(chain).llt().solve(J.transpose());
+  Matrix6 C = Matrix6::Identity();
   C.topRightCorner<3, 3>() = A.topRightCorner<3, 3>() * A.bottomRightCorner<3, 3>().inverse();
   C.bottomLeftCorner<3, 3>() = A.bottomLeftCorner<3, 3>() * A.topLeftCorner<3, 3>().inverse();
   return C;
 }
 
+// The tool's acceleration where no joint accelerates, frame by frame.
+Vector6 DriftOf(const Chain& chain, const Eigen::VectorXd& dq) {
+  Eigen::Vector3d turning = Eigen::Vector3d::Zero(), linear = turning, angular = turning;
+  Eigen::Vector3d from = Eigen::Vector3d::Zero();
+  for (int i = 0; i <= 7; ++i) {
+    const Eigen::Vector3d to = i < 7 ? chain.p[i] : chain.Tool();
+    const Eigen::Vector3d way = to - from;
+    linear += angular.cross(way) + turning.cross(turning.cross(way));
+    from = to;
+    if (i == 7) break;
+    const Eigen::Vector3d own = chain.R[i].col(2) * dq[i];
+    angular += turning.cross(own);
+    turning += own;
+  }
+  return Scaled(linear, angular);
+}
+
 }  // namespace
 
-Coupling PandaCoupling(const Eigen::VectorXd& q) {
-  static const Coupling kHome =
-      CouplingAt((Eigen::VectorXd(7) << 0, -0.161037389, 0, -2.44459747, 0, 2.2267522, EIGEN_PI / 4)
-                     .finished());
-  if (q.size() != 7) return kHome;
+PandaDynamics PandaDynamics::At(const Eigen::VectorXd& q, const Eigen::VectorXd& dq) {
+  static const Matrix6 kHome = CouplingOf(
+      Chain((Eigen::VectorXd(7) << 0, -0.161037389, 0, -2.44459747, 0, 2.2267522, EIGEN_PI / 4)
+                .finished()));
+  PandaDynamics at;
+  at.coupling = kHome;
+  if (q.size() != 7) return at;
+  const Chain chain(q);
+  const Matrix6 own = CouplingOf(chain);
   // Singular, or no joint positions: an entry of a posture within a Panda's limits is below 100.
-  const Coupling own = CouplingAt(q);
-  return (own.array().abs() <= 100).all() ? own : kHome;
+  if (!(own.array().abs() <= 100).all()) return at;
+  at.coupling = own;
+  if (dq.size() == 7) at.drift = DriftOf(chain, dq);
+  return at;
 }
 
 }  // namespace robostress
