@@ -70,6 +70,12 @@ constexpr Preset kPresets[] = {
        Smooth(m);
        m.execute_steps = kFewerRows;
      }},
+    {"ours_panda", "Ours, a nominal Panda", "#db2777",
+     [](MethodOptions& m) {
+       Smooth(m);
+       m.execute_steps = kFewerRows;
+       m.panda_dynamics = true;
+     }},
     {"ours_learning", "Ours, learning what was sent", "#7e22ce",
      [](MethodOptions& m) {
        Smooth(m);

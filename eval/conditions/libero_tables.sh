@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The sweeps of docs/results/libero-tables.md: nano-libero on LIBERO's four suites, stored states FIRST to FIRST + EPISODES
 # - 1 in a row. METHOD: a preset; `paper`, the paper's form in its best reading; `gain_two_rows`, winning-back.md's control;
-# `ours_panda`; `expert`, the script in place of the policy.
+# `expert`, the script in place of the policy.
 # PART: seven (Clean and the seven scenarios at L5), noise (each error alone), level_1 to level_4 (the seven at that level)
 # or a scenario's name (it alone at L5). What is done is not repeated. The outcome of every episode:
 # OUT/METHOD/PART-FIRST.jsonl, which eval/docs/libero_tables.py reads.
@@ -16,7 +16,6 @@ shift 5
 preset=("$method")
 case $method in
   paper) preset=(ours --set method.residual_scale=command --set method.learning_rate=1e-5) ;;
-  ours_panda) preset=(ours_replanning --set method.panda_dynamics=true) ;;
   gain_two_rows) preset=(smooth_fewer_rows --set method.gain=1.15) ;;
   expert) preset=(base --policies expert) ;;
 esac

@@ -9,9 +9,10 @@ namespace robostress {
 // A nominal arm whose commands are scaled by `gain` and shifted by `disturbance` on their way.
 class DisturbedArm {
  public:
+  // `joints`: positions and velocities, which stay.
   DisturbedArm(double gain, const NominalArm::Vector6& disturbance,
-               const NominalArmOptions& nominal = {})
-      : gain_(gain), disturbance_(disturbance), arm_(nominal) {}
+               const NominalArmOptions& nominal = {}, const RobotState& joints = {})
+      : gain_(gain), disturbance_(disturbance), arm_(nominal), state_(joints) {}
 
   // Executes `command` minus `correction` for `steps` control steps, as one chunk.
   ExecutedChunk Execute(const NominalArm::Vector6& command, const NominalArm::Vector6& correction,
@@ -35,7 +36,7 @@ class DisturbedArm {
 
  private:
   void Move(const NominalArm::Vector6& command) {
-    motion_ = arm_.Step(gain_ * command + disturbance_);
+    motion_ = arm_.Step(gain_ * command + disturbance_, state_);
     state_.tool.p_base_tool += 0.05 * motion_.head<3>();
     state_.tool.q_base_tool =
         (ExpSo3(0.5 * motion_.tail<3>()) * state_.tool.q_base_tool).normalized();

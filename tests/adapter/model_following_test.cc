@@ -63,25 +63,6 @@ TEST(ModelFollowing, StandsStillWhereTheArmIsNominal) {
   EXPECT_LT(following.correction().cwiseAbs().maxCoeff(), 1e-6);
 }
 
-// robosuite's Panda shifts its tool when it turns: taken for a fault, or known.
-TEST(ModelFollowing, AHealthyArmThatTurnsIsBehindNothingWhereItsDynamicsAreKnown) {
-  NominalArmOptions panda;
-  panda.panda_dynamics = true;
-  const SessionSetting setting;
-  for (const bool known : {false, true}) {
-    const MethodOptions method =
-        Method({"integral_rate=0.1", known ? "panda_dynamics=true" : "panda_dynamics=false"});
-    CommandCorrection correction(method, ResidualOf(setting, method),
-                                 NominalArmOf(setting, method));
-    DisturbedArm arm(1, Vector6::Zero(), panda);
-    for (int i = 0; i < 6; ++i)
-      correction.Observe(arm.Execute((i < 3 ? 0.5 : -0.4) * Vector6::Unit(4), Vector6::Zero()));
-    const double largest = correction.Value().head<3>().cwiseAbs().maxCoeff();
-    EXPECT_EQ(largest < 1e-6, known) << largest;
-    EXPECT_EQ(largest > 0.1, !known) << largest;
-  }
-}
-
 TEST(ModelFollowing, LeavesTheStatedPartOfASteadyDisturbance) {
   for (const double memory : {10.0, 20.0, 50.0}) {
     ModelFollowing following = Make(Method({"following_memory=" + std::to_string(memory)}));

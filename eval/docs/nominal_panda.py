@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""What the nominal arm is wrong by in Clean, with and without the controller's coupling: eval/docs/turning_tool.py RUN
+"""What the nominal arm is wrong by in Clean, each axis by itself and with the Panda's dynamics: eval/docs/nominal_panda.py RUN
 
-RUN: of `robostress sweep --scenarios clean --methods base --record-episodes PX` on LIBERO. OSC_POSE with uncouple_pos_ori leaves
-the tool's acceleration at C f, C = A Lambda, A = J M^-1 J^T, Lambda = diag(A_pp^-1, A_rr^-1), from the recorded model. Sent
-commands go through the nominal arm (adapter/nominal_arm.h) without coupling, with C of LIBERO's home posture
-(NominalArmOptions::PandaDynamics) and with C of each step's own posture. Prints C of the home posture and its mean and standard
-deviation over all steps [normalised commands], and of each task: the root mean square of what the nominal arm moves the tool more
-than the arm did in a step, and the 90th percentile of the shortfall that following sees (x and y, memory of 10 steps), both for
-the three arms. Needs NumPy and MuJoCo's Python (3.2 or later).
+RUN: of `robostress sweep --scenarios clean --methods base --record-episodes PX` on LIBERO. Under OSC_POSE with uncouple_pos_ori
+the tool accelerates by C f + d: C = A Lambda, A = J M^-1 J^T, Lambda = diag(A_pp^-1, A_rr^-1), d = J' q' (adapter/panda_dynamics.h),
+here from the recorded model. Sent commands go through the nominal arm (adapter/nominal_arm.h) in four ways: each axis by itself
+(none), C of LIBERO's home posture (home: what a client without joint positions gets), C of each step's own posture (own), and that
+with d (all). Prints C of the home posture, its mean and standard deviation over all steps [normalised commands], and of each task:
+the root mean square and the largest mean of x, y, z of what the nominal arm moves the tool more than the arm did in a step, and the
+90th percentile of the shortfall that following sees (x and y, memory of 10 steps). Needs NumPy and MuJoCo's Python (3.2).
 """
 
 import json
@@ -33,39 +33,44 @@ def tensors(path):
                    for k, v in header.items() if v["dtype"] in kinds}
 
 
-def couplings(model, postures):
-    """C [n, 6, 6] of joint positions [n, 7]."""
+def dynamics(model, postures, velocities):
+    """C [n, 6, 6] and d [n, 6] of joint positions and velocities [n, 7]."""
     data = mujoco.MjData(model)
     joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"robot0_joint{i}") for i in range(1, 8)]
     dofs = model.jnt_dofadr[joints]
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "gripper0_grip_site")
-    unit, column, found = np.eye(model.nv), np.zeros(model.nv), []
-    for q in postures:
+    unit, column, found, drifts, step = np.eye(model.nv), np.zeros(model.nv), [], [], 1e-6
+
+    def jacobian_at(q):
         data.qpos[model.jnt_qposadr[joints]] = q
         mujoco.mj_fwdPosition(model, data)
+        move, turn = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, move, turn, site)
+        return np.vstack([move[:, dofs], turn[:, dofs]])
+
+    for q, dq in zip(postures, velocities):
+        drifts.append((jacobian_at(q + step * dq) - jacobian_at(q - step * dq)) @ dq / (2 * step) / SCALE)
+        jacobian = jacobian_at(q)
         mass = np.zeros((7, 7))
         for i, dof in enumerate(dofs):
             mujoco.mj_mulM(model, data, column, unit[dof])
             mass[:, i] = column[dofs]
-        move, turn = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        mujoco.mj_jacSite(model, data, move, turn, site)
-        jacobian = np.vstack([move[:, dofs], turn[:, dofs]])
         inverse = jacobian @ np.linalg.solve(mass, jacobian.T)
         inertia = np.zeros((6, 6))
         inertia[:3, :3] = np.linalg.inv(inverse[:3, :3])
         inertia[3:, 3:] = np.linalg.inv(inverse[3:, 3:])
         found.append((inverse @ inertia) * SCALE / SCALE[:, None])
-    return np.array(found)
+    return np.array(found), np.array(drifts)
 
 
-def nominal(commands, coupling):
-    """Displacements [n, 6] of the nominal arm, goal achieved; coupling [n, 6, 6] or [6, 6]."""
-    velocity, goal, moved = np.zeros(6), np.zeros(6), []
-    for command, c in zip(np.clip(commands[:, :6], -1, 1), np.broadcast_to(coupling, (len(commands), 6, 6))):
+def nominal(commands, coupling, drift):
+    """Displacements [n, 6] of the nominal arm, goal achieved; coupling [n, 6, 6] or [6, 6], drift [n, 6] or [6]."""
+    n, velocity, goal, moved = len(commands), np.zeros(6), np.zeros(6), []
+    for command, c, d in zip(np.clip(commands[:, :6], -1, 1), np.broadcast_to(coupling, (n, 6, 6)), np.broadcast_to(drift, (n, 6))):
         goal = np.r_[command[:3], command[3:] if command[3:].any() else goal[3:]]
         x = np.zeros(6)
         for _ in range(SUB_STEPS):
-            velocity = velocity + STEP_S * c @ (KP * (goal - x) - 2 * KP ** 0.5 * velocity)
+            velocity = velocity + STEP_S * (c @ (KP * (goal - x) - 2 * KP ** 0.5 * velocity) + d)
             x = x + STEP_S * velocity
         goal = goal - x
         moved.append(x)
@@ -92,21 +97,23 @@ def main():
         about, tensor = tensors(path)
         model = mujoco.MjModel.from_xml_string(about["model_file"])
         if home is None:
-            home = couplings(model, [HOME])[0]
-        own = couplings(model, tensor["q"])
+            home = dynamics(model, [HOME], np.zeros((1, 7)))[0][0]
+        own, drift = dynamics(model, tensor["q"], tensor["dq"])
         all_couplings.append(own)
         moved = np.diff(tensor["tool"][:, :3], axis=0) / SCALE[0]
-        errors = [nominal(tensor["sent"], c)[:-1, :3] - moved for c in (np.eye(6), home, own)]
+        still = np.zeros(6)
+        errors = [nominal(tensor["sent"], c, d)[:-1, :3] - moved
+                  for c, d in ((np.eye(6), still), (home, still), (own, still), (own, drift))]
         rows.append((about["suite"], int(about["task"]), [np.sqrt(np.mean(np.sum(e ** 2, axis=1))) for e in errors],
-                     [shortfall(e) for e in errors]))
+                     [np.abs(e.mean(0)).max() for e in errors], [shortfall(e) for e in errors]))
     np.set_printoptions(precision=3, suppress=True)
     steps = np.concatenate(all_couplings)
     print(f"C of the home posture\n{home}\nmean over {len(steps)} steps\n{steps.mean(0)}\nstandard deviation\n{steps.std(0)}")
-    print("suite, task | error: none, home, own | shortfall: none, home, own")
+    print("suite, task | none, home, own, all: root mean square | largest mean | shortfall")
     text = lambda values: " ".join(f"{v:.3f}" for v in values)
-    for suite, task, error, behind in sorted(rows):
-        print(f"{suite} {task} | {text(error)} | {text(behind)}")
-    print(f"median of {len(rows)} | {text(np.median([r[2] for r in rows], 0))} | {text(np.median([r[3] for r in rows], 0))}")
+    for suite, task, *numbers in sorted(rows):
+        print(f"{suite} {task} | " + " | ".join(map(text, numbers)))
+    print(f"median of {len(rows)} | " + " | ".join(text(np.median([r[k] for r in rows], 0)) for k in (2, 3, 4)))
 
 
 if __name__ == "__main__":
