@@ -108,7 +108,10 @@ NominalArmOptions NominalArmOf(const SessionSetting& setting, const MethodOption
   NominalArmOptions options;
   options.goal_reference = setting.goal_reference;
   options.control_period_s = setting.control_period_s;
-  return method.NominalArmFrom(options);
+  options.panda_dynamics = method.panda_dynamics;
+  options.translation_scale = setting.translation_scale;
+  options.rotation_scale = setting.rotation_scale;
+  return options;
 }
 
 ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& method) {

@@ -20,11 +20,6 @@ bool MethodOptions::Compensates() const {
   return any;
 }
 
-NominalArmOptions MethodOptions::NominalArmFrom(NominalArmOptions arm) const {
-  arm.panda_dynamics = panda_dynamics;
-  return arm;
-}
-
 bool MethodOptions::ModelsArm() const {
   return Find<IntegralOptions>() != nullptr || Find<FollowingOptions>() != nullptr ||
          Find<CalibratorOptions>() != nullptr || (adapts() && NeedsNominalArm(target));
@@ -88,6 +83,10 @@ absl::Status MethodOptions::Check() const {
 }
 
 absl::Status MethodOptions::CheckJointSpace(const std::string& robot) const {
+  if (panda_dynamics) {
+    return Invalid(*this, "panda_dynamics models an end-effector controller; robot ", robot,
+                   " acts in joint space: set it to false");
+  }
   if (NeedsNominalArm(target)) {
     return Invalid(*this, "a nominal target models an end-effector controller; robot ", robot,
                    " acts in joint space: use target executed or intent");

@@ -105,9 +105,7 @@ struct MethodOptions {
   }
   bool adapts() const { return Find<LoraOptions>() != nullptr; }
   bool ModelsArm() const;  // compares with a nominal arm
-  // The nominal arm of this method where `arm` is the one of its controller.
-  NominalArmOptions NominalArmFrom(NominalArmOptions arm) const;
-  bool Corrects() const;  // adds to commands by what it measured
+  bool Corrects() const;   // adds to commands by what it measured
   // Learns from motion, or corrects commands by it.
   bool Compensates() const;
   // Episodes depend on those before them.

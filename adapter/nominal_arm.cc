@@ -1,5 +1,6 @@
 #include "adapter/nominal_arm.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "adapter/panda_dynamics.h"
@@ -12,12 +13,22 @@ NominalArm::Vector6 NominalArm::Step(const Vector6& command, const RobotState& b
   Vector6 goal = options_.goal_reference == GoalReference::kAchieved ? a : Vector6(state_.goal + a);
   if (a.tail<3>().isZero(0)) goal.tail<3>() = state_.goal.tail<3>();
 
-  const double h = options_.control_period_s / options_.sub_steps;
+  int sub_steps = options_.sub_steps;
+  PandaDynamics arm;
+  if (options_.panda_dynamics) {
+    // Twice as stiff along the coupling's eigenvectors: steps of 20 ms stay stable.
+    sub_steps = std::max(sub_steps, static_cast<int>(std::ceil(options_.control_period_s / 0.02)));
+    Vector6 scale;
+    scale << Eigen::Vector3d::Constant(options_.translation_scale),
+        Eigen::Vector3d::Constant(options_.rotation_scale);
+    arm = PandaDynamics::At(before.q, before.dq);
+    arm.coupling = scale.cwiseInverse().asDiagonal() * arm.coupling * scale.asDiagonal();
+    arm.drift = arm.drift.cwiseQuotient(scale);
+  }
+  const double h = options_.control_period_s / sub_steps;
   const double kd = 2 * options_.damping_ratio * std::sqrt(options_.kp);
-  const PandaDynamics arm =
-      options_.panda_dynamics ? PandaDynamics::At(before.q, before.dq) : PandaDynamics();
   Vector6 x = Vector6::Zero();
-  for (int i = 0; i < options_.sub_steps; ++i) {
+  for (int i = 0; i < sub_steps; ++i) {
     const Vector6 force = options_.kp * (goal - x) - kd * state_.velocity;
     state_.velocity += h * (arm.coupling * force + arm.drift);
     x += h * state_.velocity;

@@ -10,11 +10,13 @@ namespace robostress {
 // How the delta controller of a nominal arm (robosuite's OSC_POSE) answers a normalised command.
 struct NominalArmOptions {
   GoalReference goal_reference = GoalReference::kAchieved;
-  double control_period_s = 0.05;  // [s] between commands
-  int sub_steps = 25;              // physics steps per command
-  double kp = 150;                 // [1/s^2]
-  double damping_ratio = 1;        // kd = 2 * damping_ratio * sqrt(kp) [1/s]
-  bool panda_dynamics = false;     // C and d of panda_dynamics.h; else the identity and 0
+  double control_period_s = 0.05;   // [s] between commands
+  int sub_steps = 25;               // physics steps per command
+  double kp = 150;                  // [1/s^2]
+  double damping_ratio = 1;         // kd = 2 * damping_ratio * sqrt(kp) [1/s]
+  bool panda_dynamics = false;      // C and d of panda_dynamics.h; else the identity and 0
+  double translation_scale = 0.05;  // of commands, for C and d [m]
+  double rotation_scale = 0.5;      // [rad]
 };
 
 // Displacement that a nominal Clean arm gives to a sequence of commands. With gravity compensated
@@ -40,7 +42,7 @@ class NominalArm {
   explicit NominalArm(const NominalArmOptions& options) : options_(options) {}
 
   void Reset() { state_ = {}; }  // at rest, goal reached; start of an episode
-  // Above every state of an arm that settles (a control period of up to 1.6 s, coupled 0.8 s); the
+  // Above every state of an arm that settles (a control period of up to 1.6 s); the
   // semi-implicit steps of a longer one do not, and their state is left as it was.
   static constexpr double kMaxState = 1e6;
 

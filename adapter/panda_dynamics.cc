@@ -11,6 +11,8 @@ using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 using Jacobian = Eigen::Matrix<double, 3, 7>;
 
+// The simulator's own are in sim_worker/panda_mjcf.cc; its test compares the two.
+//
 // One link: its frame in the parent's, turned by `quarter` quarter turns about x and then about its
 // joint's axis z; its mass, and its inertia, the same about all axes.
 struct Link {
@@ -37,7 +39,6 @@ struct Piece {
   std::array<double, 3> inertia;
 };
 
-constexpr double kTranslation_m = 0.05, kRotation_rad = 0.5;  // of a command of 1
 constexpr double kHand_m = 0.1065;
 constexpr double kTool_m = kHand_m + 0.097;
 constexpr std::array<Piece, 4> kHand = {{
@@ -105,14 +106,9 @@ Eigen::Matrix<double, 7, 7> MassMatrix(const Chain& chain) {
   return M;
 }
 
-// In normalised command units.
-Vector6 Scaled(const Eigen::Vector3d& linear, const Eigen::Vector3d& angular) {
-  return (Vector6() << linear / kTranslation_m, angular / kRotation_rad).finished();
-}
-
 Matrix6 CouplingOf(const Chain& chain) {
   Eigen::Matrix<double, 6, 7> J;
-  J << chain.Moves(chain.Tool(), 6) / kTranslation_m, chain.Turns(6) / kRotation_rad;
+  J << chain.Moves(chain.Tool(), 6), chain.Turns(6);
   const Matrix6 A = J * MassMatrix(chain).llt().solve(J.transpose());
   Matrix6 C = Matrix6::Identity();
   C.topRightCorner<3, 3>() = A.topRightCorner<3, 3>() * A.bottomRightCorner<3, 3>().inverse();
@@ -134,7 +130,7 @@ Vector6 DriftOf(const Chain& chain, const Eigen::VectorXd& dq) {
     angular += turning.cross(own);
     turning += own;
   }
-  return Scaled(linear, angular);
+  return (Vector6() << linear, angular).finished();
 }
 
 }  // namespace
@@ -148,10 +144,10 @@ PandaDynamics PandaDynamics::At(const Eigen::VectorXd& q, const Eigen::VectorXd&
   if (q.size() != 7) return at;
   const Chain chain(q);
   const Matrix6 own = CouplingOf(chain);
-  // Singular, or no joint positions: an entry of a posture within a Panda's limits is below 100.
+  // Written so that what is not a number is none. A hundred metres a radian is nearly singular.
   if (!(own.array().abs() <= 100).all()) return at;
   at.coupling = own;
-  if (dq.size() == 7) at.drift = DriftOf(chain, dq);
+  if (dq.size() == 7 && (dq.array().abs() <= kMaxVelocity).all()) at.drift = DriftOf(chain, dq);
   return at;
 }
 

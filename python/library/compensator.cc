@@ -106,6 +106,11 @@ absl::StatusOr<MethodOptions> MethodOf(const char* name, const char* const* over
         "execute_steps would change nothing here: execute as many rows of a corrected chunk as you "
         "like");
   }
+  if (method.panda_dynamics) {
+    return absl::InvalidArgumentError(
+        "panda_dynamics needs an end effector's joint positions, which are not given here; set it "
+        "to false");
+  }
   const MethodOptions plain;
   if (method.observer || method.observation != plain.observation ||
       method.noise_stream != plain.noise_stream) {

@@ -53,6 +53,10 @@ absl::StatusOr<UnitConfig> ResolvePiperUnit(const UnitConfig& unit) {
     return absl::InvalidArgumentError(absl::StrCat("unit: videos is ", unit.videos,
                                                    ", must be 0: a Piper's units have no films"));
   }
+  if (unit.method->panda_dynamics) {
+    return absl::InvalidArgumentError(
+        "method.panda_dynamics is true; a Piper acts in joint space: set it to false");
+  }
   const ClientOptions& client = unit.client;
   if (!(client.episode_s > 0 && client.episode_s <= 600)) {
     return absl::InvalidArgumentError(absl::StrCat("client.episode_s is ", client.episode_s,

@@ -37,7 +37,7 @@ DisturbanceObserverOptions ObserverFor(const ArmProfile& profile) {
 ArmCorrection::ArmCorrection(const ArmProfile& profile, const MethodOptions& method)
     : columns_(static_cast<Eigen::Index>(profile.columns().size())),
       residual_(ResidualFor(profile, method)),
-      correction_(method, residual_, method.NominalArmFrom(profile.nominal_arm())) {
+      correction_(method, residual_, profile.nominal_arm()) {
   if (!method.observer) return;
   for (Eigen::Index at = 0; at < columns_; at += kGroup)
     observers_.emplace_back(ObserverFor(profile));

@@ -275,6 +275,8 @@ absl::StatusOr<MethodOptions> MethodOf(const ArmProfile& profile,
                        : "; take ours_following, ours_integral, direct, gain or base");
   };
   if (method.adapts()) return refuse("adapts weights, and the proxy has none");
+  if (method.panda_dynamics)
+    return refuse("has panda_dynamics, which needs joint positions that no arm here reports");
   if (method.observation != ObservationInput::kFull)
     return refuse("changes what the policy sees, and the proxy passes observations as they are");
   if (method.noise_stream != "policy")

@@ -135,7 +135,7 @@ MethodOptions WithoutCorrection(MethodOptions method) {
   method.gain = 1;
   method.every_step = false;
   method.smoothing = 0;
-  method.panda_dynamics = method.panda_dynamics && method.ModelsArm();
+  method.panda_dynamics = false;
   method.execute_steps = 0;
   method.arm_model.clear();
   return method;

@@ -8,7 +8,9 @@
 #include <vector>
 
 #include "adapter/command_correction.h"
+#include "adapter/method_options.h"
 #include "adapter/methods.h"
+#include "adapter/pseudo_target.h"
 #include "tests/adapter/disturbed_arm.h"
 
 namespace robostress {
@@ -46,21 +48,42 @@ TEST(PandaDynamics, AreDefinedInAnyPosture) {
   EXPECT_EQ(PandaDynamics::At(Eigen::VectorXd::Constant(7, NAN), {}).coupling, home);
   EXPECT_TRUE(PandaDynamics::At(Eigen::VectorXd::Zero(7), {}).coupling.allFinite());
   EXPECT_EQ(PandaDynamics::At(Swinging().q, {}).drift, Vector6::Zero());
+  for (const double dq : {4.1, -1e300, static_cast<double>(NAN), static_cast<double>(INFINITY)}) {
+    const PandaDynamics at = PandaDynamics::At(Swinging().q, dq * Eigen::VectorXd::Unit(7, 2));
+    EXPECT_EQ(at.drift, Vector6::Zero()) << dq;
+    EXPECT_NE(at.coupling, home);
+  }
 }
 
 TEST(PandaDynamics, CarryTheNominalArm) {
   const RobotState robot = Swinging();
   const PandaDynamics at = PandaDynamics::At(robot.q, robot.dq);
-  EXPECT_GT(at.drift.head<3>().norm(), 1);
+  EXPECT_GT(at.drift.head<3>().norm(), 0.05);
   NominalArmOptions options = Panda();
+  options.control_period_s = 0.02;
   options.sub_steps = 1;  // x = h^2 (C kp a + d)
+  options.translation_scale = 0.02;
+  options.rotation_scale = 0.3;
+  const Vector6 scale = (Vector6() << 0.02, 0.02, 0.02, 0.3, 0.3, 0.3).finished();
   for (int axis = 0; axis < 6; ++axis) {
     const Vector6 moved = NominalArm(options).Step(0.4 * Vector6::Unit(axis), robot);
-    const Vector6 expected = 0.05 * 0.05 * (150 * 0.4 * at.coupling.col(axis) + at.drift);
-    EXPECT_LT((moved - expected).norm(), 1e-12) << axis;
+    const Vector6 expected =
+        0.02 * 0.02 * (scale[axis] * 150 * 0.4 * at.coupling.col(axis) + at.drift);
+    EXPECT_LT((moved.cwiseProduct(scale) - expected).norm(), 1e-12) << axis;
   }
   options.panda_dynamics = false;
   EXPECT_EQ(NominalArm(options).Step(Vector6::Zero(), robot), Vector6::Zero());
+}
+
+// Twice as stiff along the coupling, an arm asked once a second still settles.
+TEST(PandaDynamics, LeaveASlowClientsArmStable) {
+  NominalArmOptions options = Panda();
+  options.control_period_s = 1;
+  NominalArm arm(options);
+  for (int i = 0; i < 100; ++i) {
+    const Vector6 moved = arm.Step((i % 2 == 0 ? 0.5 : -0.5) * Vector6::Ones(), Swinging());
+    ASSERT_LT((moved.cwiseAbs().array() - 0.5).abs().maxCoeff(), 0.1) << i;
+  }
 }
 
 // It shifts while it turns; what it was told, it does.
@@ -80,7 +103,7 @@ class HealthyPanda : public testing::TestWithParam<std::vector<std::string>> {
  protected:
   // Largest correction of a translation that it gets.
   static double Corrected(bool known) {
-    std::vector<std::string> options = GetParam();
+    std::vector<std::string> options = GetParam();  // preset, then options
     const std::string preset = options[0];
     options[0] = known ? "panda_dynamics=true" : "panda_dynamics=false";
     const MethodOptions method = *MakeMethod(preset, options);
@@ -100,14 +123,15 @@ class HealthyPanda : public testing::TestWithParam<std::vector<std::string>> {
 
 TEST_P(HealthyPanda, IsLeftAloneWhereItsDynamicsAreKnown) {
   EXPECT_LT(Corrected(true), 1e-6);
-  EXPECT_GT(Corrected(false), 0.02);
+  EXPECT_GT(Corrected(false), 0.005);
 }
 
-INSTANTIATE_TEST_SUITE_P(Ways, HealthyPanda,
-                         testing::Values(std::vector<std::string>{"ours_panda"},
-                                         std::vector<std::string>{"ours_integral"},
-                                         std::vector<std::string>{"base",
-                                                                  "calibrator_memory=100"}));
+INSTANTIATE_TEST_SUITE_P(
+    Ways, HealthyPanda,
+    testing::Values(std::vector<std::string>{"ours_panda", "following_threshold=0",
+                                             "integral_threshold=0"},
+                    std::vector<std::string>{"ours_integral"},
+                    std::vector<std::string>{"base", "calibrator_memory=100"}));
 
 TEST(PandaDynamics, ReachTheNominalTarget) {
   const MethodOptions method = *MakeMethod("ours_nominal", {"panda_dynamics=true"});

@@ -182,6 +182,11 @@ TEST_F(Presets, EqualWhatTheyAreOnTopOfBitForBitUntilTheirFirstUpdate) {
   }
 }
 
+// The worker's nominal arm is the method's.
+TEST_F(Presets, ANominalPandaCorrectsOtherwise) {
+  EXPECT_LT(FirstDifference("ours_panda", "ours_replanning"), Of("ours_panda").steps());
+}
+
 TEST_F(Presets, AStepOfAdamIsAboutTheLearningRateForEveryParameter) {
   for (const std::string& method : PandasMethods()) {
     const Episode& episode = Of(method);
