@@ -172,7 +172,8 @@ class AdminServer::Service {
 AdminServer::AdminServer() = default;
 AdminServer::~AdminServer() {
   if (server_ == nullptr) return;
-  server_->Shutdown(std::chrono::system_clock::now());
+  // Calls under way are answered: Drain, which may be what ends this server, is one of them.
+  server_->Shutdown(std::chrono::system_clock::now() + std::chrono::seconds(2));
   server_->Wait();
   executor_->Stop();
 }

@@ -324,6 +324,30 @@ TEST_F(ServingSecurityTest, PredictingAndTeachingAreScopesOfTheirOwn) {
   }
 }
 
+// The server that is drained ends before Drain has returned.
+TEST_F(ServingSecurityTest, DrainIsAnsweredByAServerThatStops) {
+  PolicyServerOptions options;
+  options.tokens = std::make_shared<TokenStore>(Tokens());
+  Start(options);
+  absl::Notification asked;
+  AdminServerOptions admin;
+  admin.drain = [&asked](absl::Duration) {
+    asked.Notify();
+    absl::SleepFor(absl::Milliseconds(200));
+  };
+  auto stopping =
+      AdminServer::Start(admin, &server_->sessions(), server_->tokens(), &server_->metrics());
+  ASSERT_TRUE(stopping.ok()) << stopping.status();
+  std::thread stop([&] {
+    asked.WaitForNotification();
+    stopping->reset();
+  });
+  const Answer answer =
+      Call(Plain((*stopping)->port()), "/robostress.v1.AdminService/Drain", "", "operator");
+  stop.join();
+  EXPECT_TRUE(answer.status.ok()) << answer.status.error_message();
+}
+
 TEST_F(ServingSecurityTest, OperatorsListPinRollBackExportEndAndDrain) {
   PolicyServerOptions options;
   options.tokens = std::make_shared<TokenStore>(Tokens());
