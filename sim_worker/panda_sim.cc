@@ -104,12 +104,12 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   // the pose, Jacobian and masses of home (facts of LIBERO's reset,
   // docs/results/stepping-and-controller.md).
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = home[i];
-  mj_step1(m, d);
+  s.Step1();
   s.Believe();
   ReadArm(*m, s.Believed(), s.panda, e.arm);
   e.controller.Reset(e.arm, home);
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = qpos[s.panda.qpos[i]];
-  s.parity() ? mj_forward(m, d) : mj_step1(m, d);
+  s.parity() ? mj_forward(m, d) : s.Step1();
   if (!s.options.robosuite.home_goal) {
     ArmState start;
     s.Believe();
@@ -245,7 +245,7 @@ void PandaSim::Restore(const Snapshot& snapshot) {
   s.late.qpos = snapshot.late_qpos;
   s.late.qvel = snapshot.late_qvel;
   s.late.current = false;
-  mj_step1(s.model.get(), d);
+  s.Step1();
   s.position_stage_stale = false;
 }
 

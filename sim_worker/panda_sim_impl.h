@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "common/joint_errors/joint_chain.h"
+#include "sim_worker/near_geoms.h"
 #include "sim_worker/osc_controller.h"
 #include "sim_worker/panda_model.h"
 #include "sim_worker/panda_sim.h"
@@ -52,11 +53,18 @@ struct PandaSim::Snapshot {
 
 struct PandaSim::Impl {
   Impl(SharedModel shared, const SimOptions& o, const PandaModel& p)
-      : model(std::move(shared)), data(mj_makeData(model.get())), options(o), panda(p), episode(o) {
+      : model(std::move(shared)),
+        data(mj_makeData(model.get())),
+        options(o),
+        panda(p),
+        episode(o),
+        near_geoms(*model) {
     if (options.LateObservation()) late.data.reset(mj_makeData(model.get()));
   }
 
   bool parity() const { return options.stepping == Stepping::kParity; }
+  // mj_step1, with contacts asked for among near geoms alone.
+  void Step1();
   // The forward passes of a sub-step, and the arm as the controller then sees it.
   void LookAtArm();
   // The arm of the joint readings and the bias that the controller compensates; the truth without
@@ -87,6 +95,7 @@ struct PandaSim::Impl {
   const SimOptions options;
   const PandaModel panda;
   EpisodeState episode;
+  NearGeoms near_geoms;
   bool position_stage_stale = false;  // somebody may have written to data since the last mj_step1
   std::function<void()> on_sub_step, on_integrated;
   std::function<void(const JointSample&)> on_sample;

@@ -65,6 +65,28 @@ void PandaSim::Impl::DriveGripper(double direction) {
   }
 }
 
+void PandaSim::Impl::Step1() {
+  const mjModel* m = model.get();
+  mjData* d = data.get();
+  mj_checkPos(m, d);
+  mj_checkVel(m, d);
+  mj_kinematics(m, d);
+  mj_comPos(m, d);
+  mj_camlight(m, d);
+  mj_tendon(m, d);
+  mj_crb(m, d);
+  mj_factorM(m, d);
+  near_geoms.Collide(*d);
+  mj_makeConstraint(m, d);
+  mj_transmission(m, d);
+  mj_projectConstraint(m, d);
+  mj_sensorPos(m, d);
+  mj_energyPos(m, d);
+  mj_fwdVelocity(m, d);
+  mj_sensorVel(m, d);
+  mj_energyVel(m, d);
+}
+
 void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
   const bool moved = episode.chain.has(EffectStage::kTransmission);
   // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis terms.
@@ -91,7 +113,7 @@ void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
     late.current = false;
   }
   if (last_sub_step && on_integrated) on_integrated();
-  if (!parity()) mj_step1(model.get(), data.get());
+  if (!parity()) Step1();
 }
 
 void PandaSim::Impl::LookAtArm() {
@@ -163,7 +185,7 @@ absl::Status PandaSim::Impl::ControlStep(const Vector7d& command, int progress_s
   }
   const Eigen::Matrix<double, 6, 1> delta = command.head<6>().cwiseMax(-1).cwiseMin(1);
   const double gripper = (command[6] > 0) - (command[6] < 0);
-  if (position_stage_stale && !parity()) mj_step1(model.get(), data.get());
+  if (position_stage_stale && !parity()) Step1();
   position_stage_stale = false;
   const bool gated = episode.chain.severity().scenario().profile == SeverityProfile::kWhileGrasping;
   for (int i = 0; i < kSubSteps; ++i) {

@@ -22,6 +22,7 @@
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/numpy_placement.h"
 #include "tests/common/libero/shared_data.h"
+#include "tests/sim_worker/same_contacts.h"
 
 namespace robostress::libero {
 namespace {
@@ -549,6 +550,42 @@ TEST(LiberoTaskTest, SampledFixturesAreReproducibleAndStayInTheirRegions) {
   // The heights that the originals computed for their draw.
   EXPECT_NEAR(scene.centred_fixtures[0].pos[2], 0.905, 1e-12);
   EXPECT_NEAR(scene.centred_fixtures[2].pos[2], 0.92, 1e-12);
+}
+
+// The simulator asks for contacts among near geoms; objects that lie on a floor of its own meet
+// it twice, as in MuJoCo.
+TEST(LiberoTaskTest, ContactsAreMuJoCosToTheBit) {
+  SKIP_WITHOUT_SHARED_DATA();
+  for (const auto& [suite, index] : {std::pair("libero_spatial", 4),
+                                     {"libero_object", 4},
+                                     {"libero_goal", 0},
+                                     {"libero_10", 4}}) {
+    UnitConfig unit = GoalUnit();
+    unit.suite = suite;
+    unit.scenario = "aged_joint_elbow";
+    const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task = LiberoSimTask::Create(unit, index);
+    ASSERT_TRUE(task.ok()) << task.status();
+    PandaSim& sim = (*task)->sim();
+    const mjModel& model = std::as_const(sim).model();
+    mjData* bare = mj_makeData(&model);
+    int sub_step = 0, contacts = 0;
+    sim.OnSubStep([&] {
+      if (++sub_step % 7 != 0 || HasFatalFailure()) return;
+      CollideAlike(model, sim.data(), *bare);
+      ExpectSameContacts(sim.data(), *bare);
+      contacts += bare->ncon;
+    });
+    ASSERT_TRUE((*task)->Reset(1).ok());
+    for (int step = 0; step < 20; ++step) {
+      Eigen::VectorXf command(7);
+      command << 0.8f, step < 10 ? 0.7f : -0.9f, -1, 0.3f, -0.5f, 0.6f, step % 8 < 4 ? 1 : -1;
+      ASSERT_TRUE((*task)->Step(command).ok());
+    }
+    sim.OnSubStep(nullptr);
+    mj_deleteData(bare);
+    ASSERT_FALSE(HasFatalFailure()) << suite;
+    EXPECT_GT(contacts, 700) << suite;
+  }
 }
 
 TEST(LiberoTaskTest, BadInputNamesTheFileAndTheRemedy) {
