@@ -15,7 +15,7 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 // Which pairs collide, in what order and with what parameters is this version's.
-static_assert(mjVERSION_HEADER == 222, "NearGeoms does what MuJoCo 2.2.2 does");
+constexpr int kMuJoCo = 222;
 
 // Wider: the list is made more rarely, and holds more.
 constexpr double kSlack = 0.02;                   // [m]
@@ -50,8 +50,8 @@ uint64_t BodyPair(int a, int b) {
 // Whether the model has collisions that are none of geoms with bounding spheres and of still
 // planes.
 bool HasOwnRules(const mjModel& m) {
-  if (m.npair > 0 || m.opt.collision == mjCOL_PAIR || (m.opt.enableflags & mjENBL_OVERRIDE) != 0 ||
-      m.nbody >= kMostIds || m.ngeom >= kMostIds)
+  if (mj_version() != kMuJoCo || m.npair > 0 || m.opt.collision == mjCOL_PAIR ||
+      (m.opt.enableflags & mjENBL_OVERRIDE) != 0 || m.nbody >= kMostIds || m.ngeom >= kMostIds)
     return true;
   for (int geom = 0; geom < m.ngeom; ++geom) {
     const bool plane = m.geom_type[geom] == mjGEOM_PLANE;

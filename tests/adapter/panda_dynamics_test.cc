@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "adapter/command_correction.h"
+#include "adapter/envelope.h"
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
 #include "adapter/pseudo_target.h"
@@ -132,6 +133,18 @@ INSTANTIATE_TEST_SUITE_P(
                                              "integral_threshold=0"},
                     std::vector<std::string>{"ours_integral"},
                     std::vector<std::string>{"base", "calibrator_memory=100"}));
+
+// What an arm would have done alone is reckoned in the posture of each step.
+TEST(PandaDynamics, ReachTheEnvelope) {
+  Envelope envelope({.share = 0.2}, {}, Panda());
+  NominalArm arm(Panda());
+  DisturbedArm robot(1, Vector6::Zero(), Panda(), Swinging());
+  const ExecutedChunk chunk = robot.Execute(0.5 * Vector6::Unit(4), Vector6::Zero(), 7);
+  envelope.Observe(chunk);
+  for (const ExecutedStep& step : chunk.steps)
+    arm.Step(step.sent_command.head<6>().cast<double>(), step.before);
+  EXPECT_EQ(envelope.State().tail<6>(), arm.state().velocity);
+}
 
 TEST(PandaDynamics, ReachTheNominalTarget) {
   const MethodOptions method = *MakeMethod("ours_nominal", {"panda_dynamics=true"});

@@ -11,6 +11,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "server/wire/grpc/grpc_access.h"
@@ -268,7 +270,9 @@ void PolicyServer::Stop(absl::Duration grace) {
   SessionRegistry& sessions = service_->sessions();
   if (sessions.AwaitIdle(grace)) sessions.FlushAll();
   sessions.CancelAll();
-  server_->Shutdown(std::chrono::system_clock::now());
+  // An answer may still be on its way; streams that stay open would take any time.
+  const absl::Duration last_words = std::min(grace, absl::Milliseconds(200));
+  server_->Shutdown(absl::ToChronoTime(absl::Now() + last_words));
   server_->Wait();
   service_->StopThreads();
   server_.reset();
