@@ -34,6 +34,8 @@ class Hdf5File {
   ~Hdf5File();  // removes what was not published
 
   const std::string& path() const { return path_; }
+  // What Create writes to; empty once it is published.
+  const std::string& temporary() const { return temporary_; }
 
   // Reading. Errors name file, object and value.
   absl::StatusOr<std::vector<std::string>> Children(const std::string& group) const;

@@ -72,6 +72,8 @@ class LiberoDemonstrationWriter {
   absl::Status Add(const LiberoDemonstration& demonstration);
   // Writes the counts and makes the file appear.
   absl::Status Publish();
+  // What is written until then.
+  const std::string& temporary() const { return file_.temporary(); }
 
  private:
   explicit LiberoDemonstrationWriter(Hdf5File file) : file_(std::move(file)) {}

@@ -1,6 +1,8 @@
 // robostress-record: records demonstrations of the scripted expert, with labels for what a learned
 // policy got into (DAgger), and measures the expert.
 
+#include <signal.h>
+#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -8,6 +10,8 @@
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <map>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
@@ -17,15 +21,15 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
-#include "common/hdf5_file.h"
+#include "common/libero/task_folder.h"
 #include "common/rpc/policy_client.h"
 #include "common/run_main.h"
-#include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
+#include "common/unit/unit_directory.h"
+#include "sim_worker/record/episode_file.h"
 #include "sim_worker/record/expert_demonstration.h"
-#include "sim_worker/record/libero_recorder.h"
-#include "sim_worker/record/shard.h"
+#include "sim_worker/record/interruption.h"
 
 namespace robostress {
 namespace {
@@ -42,10 +46,9 @@ constexpr char kExamples[] =
     "  robostress record --suite libero --out data/libero          LIBERO's four suites\n\n"
     "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are "
     "refused for recording. In LIBERO a draw is the first reset of its environment seeded with "
-    "that "
-    "number.\n";
-
-constexpr char kEpisodes[] = "episodes";
+    "that number.\n"
+    "The same command goes on after an interruption: files that are there are not recorded again; "
+    "of the task under way nothing is kept.\n";
 
 struct CommandLine {
   std::string suite;  // empty: all
@@ -53,8 +56,9 @@ struct CommandLine {
   int episodes = 40, first_draw = kFirstTrainingDraw, workers = 1;
   int64_t seed = 0;
   std::string libero_root, robosuite_root;
-  std::vector<std::string> libero_tasks;   // folders
-  std::vector<std::string> folder_suites;  // their suites
+  std::vector<std::string> libero_tasks;             // folders
+  std::vector<std::string> folder_suites;            // their suites
+  std::map<std::string, std::string> folder_hashes;  // of a suite's files
   std::string out, server, policy = "nano", scenario = "clean", tag = "expert";
   int severity = 5;
   double mix = DaggerOptions().mix;
@@ -134,7 +138,7 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
 
 // What an episode is a function of beside its suite, task and draw; and how many a file was to
 // hold.
-std::string SettingsOf(const CommandLine& line) {
+std::string SettingsOf(const CommandLine& line, const Job& job, const std::string& model_sha256) {
   nlohmann::ordered_json settings = {{"scenario", line.scenario},
                                      {"severity", line.severity},
                                      {"seed", line.seed},
@@ -144,100 +148,55 @@ std::string SettingsOf(const CommandLine& line) {
                                      {"execution_noise", line.record.execution_noise},
                                      {"pictures", line.plain ? "plain" : "original"}};
   if (!line.server.empty()) settings["policy"] = line.policy, settings["mix"] = line.mix;
-  settings[kEpisodes] = line.episodes;
+  if (!model_sha256.empty()) settings["model_sha256"] = model_sha256;
+  if (const auto hash = line.folder_hashes.find(job.suite); hash != line.folder_hashes.end())
+    settings[kLiberoTasksSha256] = hash->second;
+  settings[kEpisodesAsked] = line.episodes;
   return settings.dump();
 }
 
-// Whether a file with the settings `before` may be replaced by one with `now`.
-absl::Status CheckReplaced(const std::string& path, const std::string& before,
-                           const std::string& now) {
-  auto old = nlohmann::ordered_json::parse(before, nullptr, false),
-       fresh = nlohmann::ordered_json::parse(now);
-  const auto take = [](nlohmann::ordered_json& settings) {
-    if (!settings.is_object() || !settings.contains(kEpisodes)) return 0;  // of version 0.2
-    const int episodes =
-        settings[kEpisodes].is_number_integer() ? settings[kEpisodes].get<int>() : 0;
-    settings.erase(kEpisodes);
-    return episodes;
-  };
-  const int held = take(old), asked = take(fresh);
-  if (old.is_discarded() || old != fresh) {
-    return absl::AlreadyExistsError(absl::StrCat(
-        path, " was recorded with ", before.empty() ? "settings that it does not name" : before,
-        ", now it is ", now, "; give another --out or --tag, or remove it"));
-  }
-  if (held > asked) {
-    return absl::AlreadyExistsError(
-        absl::StrCat(path, " was recorded with --episodes ", held, ", of which --episodes ", asked,
-                     " would leave a part; give another --out or --tag, or remove it"));
-  }
-  return absl::OkStatus();
+std::string PathOf(const CommandLine& line, const Job& job) {
+  return absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task, line.tag,
+                         line.first_draw, line.format == "hdf5" ? "hdf5" : "safetensors");
 }
 
-// The settings with which a file was recorded; "" where it does not say.
-std::string SettingsIn(const std::string& path, bool hdf5) {
-  if (hdf5) {
-    const absl::StatusOr<Hdf5File> file = Hdf5File::Open(path);
-    return file.ok() ? file->StringAttribute("data/demo_0", "origin").value_or("") : "";
-  }
-  const absl::StatusOr<SafetensorsFile> file = SafetensorsFile::Open(path);
-  if (!file.ok() || !file->metadata().contains("settings")) return "";
-  return file->metadata().at("settings");
-}
-
-// Where a task's episodes go: a shard, or a file in LIBERO's form.
-class EpisodeFile {
+// What an interruption drops.
+class Unfinished {
  public:
-  static absl::StatusOr<EpisodeFile> Create(const CommandLine& line, const Job& job,
-                                            const SimTask& task) {
-    const bool hdf5 = line.format == "hdf5";
-    const std::string settings = SettingsOf(line);
-    EpisodeFile file(
-        absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task, line.tag,
-                        line.first_draw, hdf5 ? "hdf5" : "safetensors"),
-        Shard(job.suite, job.task, task.instruction(), settings, line.record.execution_noise),
-        FindSuite(job.suite)->needs_libero);
-    file.settings_ = settings;
-    const std::string before = SettingsIn(file.path_, hdf5);
-    if (std::filesystem::exists(file.path_))
-      RS_RETURN_IF_ERROR(CheckReplaced(file.path_, before, settings));
-    if (hdf5) {
-      RS_ASSIGN_OR_RETURN(file.libero_, LiberoDemonstrationWriter::Create(
-                                            file.path_, {.suite = job.suite,
-                                                         .task = task.name(),
-                                                         .instruction = task.instruction(),
-                                                         .problem = task.problem()}));
-    }
-    return file;
+  void Begin(const Job& job, const std::string& temporary) { Set(job, temporary); }
+  void Keep() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++episodes_;
   }
-  // Of the task's last reset.
-  absl::Status Add(const SimTask& task, int draw, const Demonstration& episode) {
-    frames_ += static_cast<int>(episode.frames.size());
-    if (libero_.has_value()) {
-      LiberoDemonstration demonstration = ToLibero(episode, task.mjcf(), libero_suite_);
-      demonstration.initial_state = draw;
-      demonstration.origin = settings_;
-      return libero_->Add(demonstration);
+  void End() { Set({}, ""); }
+  void Drop() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (job_.suite.empty()) {
+      std::fprintf(stderr, "record: interrupted\n");
+      return;
     }
-    shard_.Add(draw, episode);
-    return absl::OkStatus();
+    std::fprintf(stderr,
+                 "record: interrupted in %s task %d, %d episodes of it are dropped; the same "
+                 "command records it anew and goes on\n",
+                 job_.suite.c_str(), job_.task, episodes_);
+    if (!temporary_.empty()) unlink(temporary_.c_str());
   }
-  absl::Status Publish() { return libero_.has_value() ? libero_->Publish() : shard_.Write(path_); }
-  const std::string& path() const { return path_; }
-  int frames() const { return frames_; }
 
  private:
-  EpisodeFile(std::string path, Shard shard, bool libero_suite)
-      : path_(std::move(path)), shard_(std::move(shard)), libero_suite_(libero_suite) {}
-  std::string path_, settings_;
-  Shard shard_;
-  bool libero_suite_;
-  std::optional<LiberoDemonstrationWriter> libero_;
-  int frames_ = 0;
+  void Set(const Job& job, const std::string& temporary) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    job_ = job;
+    temporary_ = temporary;
+    episodes_ = 0;
+  }
+  std::mutex mutex_;
+  Job job_;
+  std::string temporary_;
+  int episodes_ = 0;
 };
 
 // Success, steps and speed of one task; the frames go to a file when recording.
-absl::Status RunJob(const CommandLine& line, const Job& job) {
+absl::Status RunJob(const CommandLine& line, const Job& job, Unfinished& unfinished) {
   UnitConfig unit;
   unit.suite = job.suite;
   unit.scenario = line.scenario;
@@ -247,8 +206,6 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   unit.libero_tasks = TaskFolderOf(job.suite);
   unit.episodes = 1;
   if (line.plain) unit.sim.pictures = SimOptions::kPlainPictures;
-  RS_ASSIGN_OR_RETURN(const std::unique_ptr<SimTask> task, MakeSimTask(unit, job.task));
-  RS_ASSIGN_OR_RETURN(const Expert expert, task->MakeExpert());
   std::unique_ptr<GrpcPolicyClient> policy;
   if (!line.server.empty()) {
     RequestedSession session;
@@ -264,14 +221,32 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
                        " cameras; recording needs agentview and robot0_eye_in_hand"));
     }
   }
+  const std::string path = PathOf(line, job);
+  const std::string model_sha256 = policy == nullptr ? "" : policy->spec().model_hash;
+  const std::string settings = SettingsOf(line, job, model_sha256);
+  if (!line.eval && std::filesystem::exists(path)) {
+    RS_ASSIGN_OR_RETURN(const bool whole, HoldsAlready(path, settings));
+    // Behind one name without a model's hash there may be another policy now.
+    if (whole && (policy == nullptr || !model_sha256.empty())) {
+      std::printf("%-17s %2d  is recorded: %s\n", job.suite.c_str(), job.task, path.c_str());
+      std::fflush(stdout);
+      return absl::OkStatus();
+    }
+  }
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<SimTask> task, MakeSimTask(unit, job.task));
+  RS_ASSIGN_OR_RETURN(const Expert expert, task->MakeExpert());
   RecordOptions options = line.record;
   options.render = !line.eval;
   if (line.eval && line.tag == "expert") options.noisy_share = 0;
   options.simulator_state = line.format == "hdf5";
   std::optional<EpisodeFile> file;
   if (!line.eval) {
-    RS_ASSIGN_OR_RETURN(file, EpisodeFile::Create(line, job, *task));
+    RS_ASSIGN_OR_RETURN(
+        file, EpisodeFile::Create(
+                  path, {job.suite, job.task, settings, line.record.execution_noise}, *task));
+    unfinished.Begin(job, file->temporary());
   }
+  const bool shows_progress = isatty(STDERR_FILENO) != 0;
   int successes = 0, steps = 0;
   std::string failed, no_room;
   double render = 0;
@@ -299,14 +274,21 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
     steps += episode->steps;
     render += episode->render_seconds;
     if (!episode->success) absl::StrAppend(&failed, " ", draw);
+    if (shows_progress) {
+      std::fprintf(stderr, "\r%s %d: %d of %d episodes, %d draws\033[K", job.suite.c_str(),
+                   job.task, kept + (line.eval || episode->success), line.episodes, draws + 1);
+    }
     if (!line.eval && (!episode->success || episode->frames.empty())) continue;
     ++kept;
     if (file.has_value()) RS_RETURN_IF_ERROR(file->Add(*task, draw, *episode));
+    unfinished.Keep();
   }
+  if (shows_progress) std::fprintf(stderr, "\r\033[K");
   const double wall = Now() - start;
   std::string written;
   if (file.has_value() && kept > 0) {
     RS_RETURN_IF_ERROR(file->Publish());
+    unfinished.End();
     written = absl::StrFormat("  %d frames, %.0f frames/s, render %.0f %%, CPU %.0f %% -> %s",
                               file->frames(), file->frames() / wall, 100 * render / wall,
                               100 * (CpuSeconds() - cpu_start) / wall, file->path());
@@ -327,9 +309,15 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
 
 // The tasks after one that fails are recorded all the same, unless they fail by the same error.
 int RunJobs(const CommandLine& line, const std::vector<Job>& jobs, int worker) {
+  Unfinished& unfinished = *new Unfinished;  // as long as whoever waits for an interruption
+  OnInterruption([&unfinished](int signal) {
+    unfinished.Drop();
+    _exit(128 + signal);
+  });
   std::string error;
   for (size_t i = worker; i < jobs.size(); i += line.workers) {
-    const absl::Status status = RunJob(line, jobs[i]);
+    const absl::Status status = RunJob(line, jobs[i], unfinished);
+    unfinished.End();
     if (status.ok()) continue;
     const bool again = status.message() == error;
     error = std::string(status.message());
@@ -349,24 +337,33 @@ int Run(const CommandLine& line) {
     std::fprintf(stderr, "record: %s\n", std::string(jobs.status().message()).c_str());
     return 2;
   }
+  HoldInterruptions();
   if (line.workers == 1) return RunJobs(line, *jobs, 0);
   std::vector<pid_t> children;
   for (int worker = 0; worker < line.workers; ++worker) {
     const pid_t child = fork();
-    if (child == 0) _exit(RunJobs(line, *jobs, worker));
+    if (child == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGTERM);
+      _exit(RunJobs(line, *jobs, worker));
+    }
     if (child < 0) {
       std::perror("record: fork");
       break;
     }
     children.push_back(child);
   }
-  int failures = line.workers - static_cast<int>(children.size());
+  OnInterruption([children](int) {
+    for (const pid_t child : children) kill(child, SIGTERM);
+  });
+  int interrupted = 0, failures = line.workers - static_cast<int>(children.size());
   for (const pid_t child : children) {
     int status = 0;
     waitpid(child, &status, 0);
-    failures += !(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+    const int code = WIFEXITED(status) ? WEXITSTATUS(status) : 1;
+    failures += code != 0;
+    if (code > 128) interrupted = code;
   }
-  return failures == 0 ? 0 : 1;
+  return interrupted > 0 ? interrupted : failures == 0 ? 0 : 1;
 }
 
 }  // namespace
@@ -437,6 +434,7 @@ int main(int argc, char** argv) {
       [&]() -> absl::StatusOr<int> {
         for (const std::string& folder : line.libero_tasks) {
           RS_ASSIGN_OR_RETURN(std::string suite, robostress::AddTaskFolder(folder));
+          RS_ASSIGN_OR_RETURN(line.folder_hashes[suite], robostress::LiberoTasksSha256(folder));
           line.folder_suites.push_back(std::move(suite));
         }
         if (line.format == "hdf5") {

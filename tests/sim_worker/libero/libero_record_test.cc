@@ -170,16 +170,20 @@ TEST(LiberoRecord, ATaskWithoutRoomTakesNothingFromTheOthers) {
                             text, {{"(On akita_black_bowl_1 main_table_akita_black_bowl_region)",
                                     "(On akita_black_bowl_1 main_table_plate_region)"}}))
                   .ok());
-  const auto [output, code] = RunProgram(
-      ROBOSTRESS_RECORD, absl::StrCat("--episodes 1 --plain-pictures --libero-root ", LiberoTree(),
-                                      " --robosuite-root ", RobosuiteTree(), " --libero-tasks ",
-                                      tasks.string(), " --out ", (folder / "out").string()));
+  const std::string command = absl::StrCat(
+      "--episodes 1 --plain-pictures --libero-root ", LiberoTree(), " --robosuite-root ",
+      RobosuiteTree(), " --libero-tasks ", tasks.string(), " --out ", (folder / "out").string());
+  const auto [output, code] = RunProgram(ROBOSTRESS_RECORD, command);
   if (absl::StrContains(output, "EGL")) GTEST_SKIP() << output;
   EXPECT_EQ(code, 1) << output;
   EXPECT_THAT(output, HasSubstr("draws without room for an object: 1000 1001"));
   EXPECT_THAT(output, HasSubstr("task 0: none of the draws 1000 to 1001"));
   EXPECT_FALSE(fs::exists(folder / "out/tasks_task00_expert_1000.safetensors"));
   EXPECT_TRUE(fs::exists(folder / "out/tasks_task01_expert_1000.safetensors")) << output;
+  ASSERT_TRUE(WriteFileAtomically(bddl, text).ok());
+  EXPECT_THAT(RunProgram(ROBOSTRESS_RECORD, command).first,
+              HasSubstr("task01_expert_1000.safetensors was recorded with"))
+      << "in a folder of other tasks";
 }
 
 // Settings of `record` that leave the file's name as it is.
