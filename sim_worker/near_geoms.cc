@@ -48,16 +48,15 @@ uint64_t BodyPair(int a, int b) {
 }
 
 // Whether the model has collisions that are none of geoms with bounding spheres and of still
-// planes.
+// planes, or margins that shrink a body's box but not its geoms' contacts.
 bool HasOwnRules(const mjModel& m) {
-  if (mj_version() != kMuJoCo || m.npair > 0 || m.opt.collision == mjCOL_PAIR ||
-      (m.opt.enableflags & mjENBL_OVERRIDE) != 0 || m.nbody >= kMostIds || m.ngeom >= kMostIds)
+  if (mj_version() != kMuJoCo || m.npair > 0 || m.nbody >= kMostIds || m.ngeom >= kMostIds)
     return true;
   for (int geom = 0; geom < m.ngeom; ++geom) {
     const bool plane = m.geom_type[geom] == mjGEOM_PLANE;
     const bool mocap = m.body_mocapid[m.body_rootid[m.geom_bodyid[geom]]] >= 0;
     if (m.geom_type[geom] == mjGEOM_HFIELD || (plane && mocap) ||
-        (!plane && m.geom_rbound[geom] <= 0))
+        (!plane && m.geom_rbound[geom] <= 0) || m.geom_margin[geom] < 0)
       return true;
   }
   return false;
@@ -114,14 +113,15 @@ NearGeoms::NearGeoms(const mjModel& model)
     : model_(model), usable_(!HasOwnRules(model)), shown_(model) {
   if (!usable_) return;
   has_plane_.resize(model.nbody);
-  shown_.opt.collision = mjCOL_PAIR;
   std::map<int, Group> groups;
   for (int id = 0; id < model.ngeom; ++id) {
+    // One that touches nothing counts as well.
+    if (model.geom_type[id] == mjGEOM_PLANE && model.geom_bodyid[id] != 0)
+      has_plane_[model.geom_bodyid[id]] = true;
     if (model.geom_contype[id] == 0 && model.geom_conaffinity[id] == 0) continue;
     const int body = model.geom_bodyid[id], weld = model.body_weldid[body];
-    Geom geom = {.id = id, .body = body, .margin = std::max(0.0, model.geom_margin[id])};
+    Geom geom = {.id = id, .body = body, .margin = model.geom_margin[id]};
     geom.plane = model.geom_type[id] == mjGEOM_PLANE;
-    if (geom.plane && body != 0) has_plane_[body] = true;
     geom.box = model.geom_type[id] == mjGEOM_BOX;
     geom.reach = geom.margin + model.geom_rbound[id];
     if (weld == 0) {
@@ -153,8 +153,17 @@ NearGeoms::NearGeoms(const mjModel& model)
   friction_.reserve(5 * kExpectedPairs);
 }
 
+bool NearGeoms::CanRun() const {
+  return usable_ && mjcb_contactfilter == nullptr && model_.opt.collision != mjCOL_PAIR &&
+         (model_.opt.enableflags & mjENBL_OVERRIDE) == 0;
+}
+
 void NearGeoms::Collide(mjData& data) {
-  if (!usable_ || mjcb_contactfilter != nullptr) return mj_collision(&model_, &data);
+  if (!CanRun()) return mj_collision(&model_, &data);
+  if (((shown_.opt.disableflags ^ model_.opt.disableflags) & mjDSBL_FILTERPARENT) != 0) Forget();
+  shown_.opt = model_.opt;
+  shown_.opt.collision = mjCOL_PAIR;
+  shown_.nconmax = model_.nconmax;
   if (!looked_ || Moved(data)) {
     Look(data);
     FindMeetings(data);

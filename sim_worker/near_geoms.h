@@ -13,16 +13,21 @@ namespace robostress {
 // fixtures are built of boxes, half of a step goes into that. Here MuJoCo is given the pairs whose
 // boxes or bounding spheres come within two centimetres of each other, and that list is made anew
 // when something has moved by one (a Verlet list). Contacts, and their order, are mj_collision's to
-// the bit.
+// the bit, but for one case: two free bodies whose bounding boxes touch within the last digit of a
+// float, which MuJoCo then takes for apart.
 class NearGeoms {
  public:
-  // The model must outlive it and stay as it is.
+  // The model must outlive it. Its options may change between steps; where bodies stand and how
+  // geoms touch (friction, solref, solimp, condim, priority, gap), if Forget is called then; sizes,
+  // margins, bits, exclusions and the tree must stay as they are.
   explicit NearGeoms(const mjModel& model);
   NearGeoms(const NearGeoms&) = delete;
   NearGeoms& operator=(const NearGeoms&) = delete;
 
   // In place of mj_collision: after mj_kinematics, before mj_makeConstraint.
   void Collide(mjData& data);
+  // What was looked at does not hold any more.
+  void Forget() { looked_ = false; }
 
  private:
   struct Geom {
@@ -55,6 +60,7 @@ class NearGeoms {
     bool twice = false;  // in near_ as it is shown
   };
 
+  bool CanRun() const;
   bool Moved(const mjData& data) const;
   void Look(const mjData& data);
   void LookBetween(const mjData& data, const Group& group, const Group& other);
@@ -69,7 +75,7 @@ class NearGeoms {
   void Show();
 
   const mjModel& model_;
-  bool usable_ = true;         // else mj_collision itself is called
+  bool usable_ = true;         // what is fixed of the model; see CanRun
   std::vector<Geom> fixed_;    // on the world and what is welded to it
   std::vector<Group> groups_;  // the others
   std::vector<Mover> movers_;

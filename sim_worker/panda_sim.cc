@@ -98,6 +98,7 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   }
   EpisodeState& e = s.episode;
   mj_resetData(m, d);
+  s.near_geoms.Forget();  // fixtures of the model may have been moved
   std::copy(qpos.begin(), qpos.end(), d->qpos);
   // robosuite's controller starts from the home posture: its first goal is the pose there, the goal
   // of the orientation stays there until a command rotates, and the first sub-step still acts on
@@ -245,6 +246,7 @@ void PandaSim::Restore(const Snapshot& snapshot) {
   s.late.qpos = snapshot.late_qpos;
   s.late.qvel = snapshot.late_qvel;
   s.late.current = false;
+  s.near_geoms.Forget();  // as in Reset
   s.Step1();
   s.position_stage_stale = false;
 }

@@ -63,7 +63,7 @@ struct PandaSim::Impl {
   }
 
   bool parity() const { return options.stepping == Stepping::kParity; }
-  // mj_step1, with contacts asked for among near geoms alone.
+  // mj_step1 without its callback and timers, with contacts asked for among near geoms alone.
   void Step1();
   // The forward passes of a sub-step, and the arm as the controller then sees it.
   void LookAtArm();

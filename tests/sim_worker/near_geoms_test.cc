@@ -3,6 +3,7 @@
 #include <set>
 #include <string>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -15,12 +16,13 @@ namespace {
 
 // Everything that decides which geoms collide, in what order and how: every shape, welded and
 // mocap bodies, parents, exclusion, bits, priorities, margins, direct and mixed references, a floor
-// on a body of its own.
+// on a body of its own, one that touches nothing.
 constexpr char kCrowd[] = R"(<mujoco><option timestep="0.002"/><size nconmax="500" njmax="1000"/>
 <worldbody>
   <geom type="plane" size="3 3 .1" pos="0 0 -0.3" condim="4" solmix="0"/>
   <geom type="box" size=".3 .02 .1" pos="0 .3 0" margin="0.01" gap="0.004"/>
   <body name="floor"><geom type="plane" size="3 3 .1" pos="0 0 -0.05"/><geom type="sphere" size=".03" pos=".2 0 0"/></body>
+  <body name="glass" pos=".3 .3 0"><geom type="plane" size="1 1 .1" contype="0" conaffinity="0"/><geom type="box" size=".1 .1 .03"/></body>
   <body name="shelf" pos="-.3 0 0"><geom type="box" size=".02 .3 .1" solref="-1000 -10"/>
     <geom type="capsule" size=".02 .1" pos="0 .1 .1" contype="0"/>
     <body pos="0 0 .1"><geom type="cylinder" size=".05 .02" priority="2" friction=".3 .2 .1"/></body></body>
@@ -40,8 +42,9 @@ constexpr char kCrowd[] = R"(<mujoco><option timestep="0.002"/><size nconmax="50
 <asset><mesh name="wedge" vertex="0 0 0  .06 0 0  0 .05 0  0 0 .07  .04 .04 .03"/></asset></mujoco>)";
 
 struct Twins {
-  explicit Twins(const SharedModel& m)
-      : model(*m), ours(mj_makeData(m.get())), theirs(mj_makeData(m.get())), near(*m) {}
+  explicit Twins(const SharedModel& m) : Twins(*m) {}
+  explicit Twins(const mjModel& m)
+      : model(m), ours(mj_makeData(&m)), theirs(mj_makeData(&m)), near(m) {}
   ~Twins() {
     mj_deleteData(ours);
     mj_deleteData(theirs);
@@ -108,6 +111,57 @@ TEST(NearGeoms, ABarThatTurnsAboutItsMiddleMeetsAPost) {
   EXPECT_GT(touching, 10);
 }
 
+// What is told of by Forget, and what needs no word.
+TEST(NearGeoms, TheModelMayChangeBetweenSteps) {
+  const absl::StatusOr<SharedModel> compiled = CompileModel("crowd", kCrowd);
+  ASSERT_TRUE(compiled.ok()) << compiled.status();
+  mjModel* model = mj_copyModel(nullptr, compiled->get());
+  auto* const warn = std::exchange(mju_user_warning, [](const char*) {});
+  {
+    Twins twins(*model);
+    RandomStream random(StreamKey("near geoms of a model that changes"));
+    std::vector<double> velocity(model->nv);
+    int with_parents = 0, full = 0, unmoved = 0;
+    for (int i = 0; i < 400; ++i) {
+      mj_resetData(model, twins.ours);
+      for (double& v : velocity) v = random.Normal();
+      mj_integratePos(model, twins.ours->qpos, velocity.data(), 0.1);
+      const auto compare = [&] {
+        twins.theirs->warning[mjWARN_CONTACTFULL].number = 0;
+        ASSERT_NO_FATAL_FAILURE(twins.Compare()) << "at " << i;
+      };
+      compare();
+      const int before = twins.ours->ncon;
+      for (const int flag : {mjDSBL_FILTERPARENT, mjDSBL_CONTACT}) {
+        model->opt.disableflags ^= flag;
+        compare();
+        with_parents += flag == mjDSBL_FILTERPARENT && twins.ours->ncon > before;
+        model->opt.disableflags ^= flag;
+        compare();
+      }
+      model->opt.enableflags ^= mjENBL_OVERRIDE;
+      compare();
+      model->opt.enableflags ^= mjENBL_OVERRIDE;
+      model->nconmax = 3;
+      compare();
+      full += twins.ours->warning[mjWARN_CONTACTFULL].number > 0;
+      model->nconmax = compiled->get()->nconmax;
+      for (int geom = 0; geom < model->ngeom; ++geom)
+        model->geom_friction[3 * geom] = random.Uniform();
+      const int shelf = mj_name2id(model, mjOBJ_BODY, "shelf");
+      model->body_pos[3 * shelf] = random.Uniform(-0.3, 0.3);
+      twins.near.Forget();
+      compare();
+      unmoved += twins.ours->ncon == before;
+    }
+    EXPECT_GT(with_parents, 10);
+    EXPECT_GT(full, 10);
+    EXPECT_LT(unmoved, 390);
+  }
+  mju_user_warning = warn;
+  mj_deleteModel(model);
+}
+
 TEST(NearGeoms, LeavesToMuJoCoWhatItDoesNotKnow) {
   const std::string crowd = kCrowd;
   const auto with = [&](const std::string& what, const std::string& instead) {
@@ -122,7 +176,8 @@ TEST(NearGeoms, LeavesToMuJoCoWhatItDoesNotKnow) {
              "<option o_margin=\".05\"><flag override=\"enable\"/></option>"),
         with("<exclude", "<pair geom1=\"w\" geom2=\"s\" margin=\".3\"/><exclude"),
         with("mocap=\"true\" pos=\".2 -.2 0\">",
-             "mocap=\"true\" pos=\".2 -.2 0\"><geom type=\"plane\" size=\"1 1 1\"/>")}) {
+             "mocap=\"true\" pos=\".2 -.2 0\"><geom type=\"plane\" size=\"1 1 1\"/>"),
+        with("margin=\".02\"", "margin=\"-.02\"")}) {
     std::string named = scene;
     named.replace(named.find("<geom type=\"box\" size=\".3 .02"), 5, "<geom name=\"w\"");
     named.replace(named.find("<geom type=\"sphere\" size=\".04"), 5, "<geom name=\"s\"");

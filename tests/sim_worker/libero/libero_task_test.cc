@@ -586,6 +586,51 @@ TEST(LiberoTaskTest, ContactsAreMuJoCosToTheBit) {
   }
 }
 
+// The rack is a fixture without joints: it moves in the model, and nothing in the state.
+TEST(LiberoTaskTest, AMovedFixtureIsMetAtOnce) {
+  SKIP_WITHOUT_SHARED_DATA();
+  UnitConfig unit = GoalUnit();
+  unit.sim.settle_steps = 0;
+  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task = LiberoSimTask::Create(unit, 8);
+  ASSERT_TRUE(task.ok()) << task.status();
+  const PandaSim& sim = (*task)->sim();
+  const mjModel& model = sim.model();
+  const absl::StatusOr<FixturePose> rack = [&]() -> absl::StatusOr<FixturePose> {
+    for (const FixturePose& pose : (*task)->scene().centred_fixtures)
+      if (pose.fixture == "wine_rack_1") return pose;
+    return absl::NotFoundError("no rack");
+  }();
+  ASSERT_TRUE(rack.ok());
+  ASSERT_TRUE((*task)->Reset(1).ok());
+  const std::vector<double> qpos(sim.data().qpos, sim.data().qpos + model.nq), qvel(model.nv, 0.0);
+  Eigen::Matrix<double, 7, 1> home;
+  for (int i = 0; i < 7; ++i) {
+    const int joint = mj_name2id(&model, mjOBJ_JOINT, absl::StrCat("robot0_joint", i + 1).c_str());
+    home[i] = qpos[model.jnt_qposadr[joint]];
+  }
+  const int plate = mj_name2id(&model, mjOBJ_BODY, "plate_1_main");
+  FixturePose on_plate = *rack;
+  on_plate.pos[0] = sim.data().xpos[3 * plate];
+  on_plate.pos[1] = sim.data().xpos[3 * plate + 1];
+  mjData* bare = mj_makeData(&model);
+  const auto snapshot = sim.Save();
+  for (const bool restored : {false, true}) {
+    int contacts = -1;
+    for (const FixturePose& pose : {*rack, on_plate}) {
+      ASSERT_TRUE((*task)->MoveFixtures({pose}).ok());
+      if (restored) {
+        (*task)->sim().Restore(*snapshot);
+      } else {
+        ASSERT_TRUE((*task)->ResetTo(qpos, qvel, home).ok());
+      }
+      CollideAlike(model, sim.data(), *bare);
+      ExpectSameContacts(sim.data(), *bare);
+      EXPECT_NE(bare->ncon, std::exchange(contacts, bare->ncon)) << "the rack is in nobody's way";
+    }
+  }
+  mj_deleteData(bare);
+}
+
 TEST(LiberoTaskTest, BadInputNamesTheFileAndTheRemedy) {
   UnitConfig unit;
   unit.suite = "libero_goal";
