@@ -615,6 +615,8 @@ TEST(LiberoTaskTest, AMovedFixtureIsMetAtOnce) {
   mjData* bare = mj_makeData(&model);
   const auto snapshot = sim.Save();
   for (const bool restored : {false, true}) {
+    ASSERT_TRUE((*task)->MoveFixtures({*rack}).ok());
+    ASSERT_TRUE((*task)->ResetTo(qpos, qvel, home).ok());
     int contacts = -1;
     for (const FixturePose& pose : {*rack, on_plate}) {
       ASSERT_TRUE((*task)->MoveFixtures({pose}).ok());
