@@ -239,6 +239,9 @@ def length_summary(lengths, family):
     print(f"\nThe paper's length, mean over {len(played)} of the seven: {', '.join(played)}")
     for method, table in tables.items():
         row(method, [f"{sum(rate(table, s)[0] for s in played) / len(played):.1f}", f"n {len(played) * rate(table, played[0])[1]}"])
+    if "base" in lengths["clean"] and played == SEVEN:
+        lost = losses({"clean": rate(lengths["clean"]["base"], "clean")[0], **{s: rate(tables["base"], s)[0] for s in SEVEN}})
+        row("Rank correlation of the seven losses of base", [f"{name} {spearman(lost, losses(s)):.2f}" for name, s in PAPER.items()])
     pairs = family + [(m, "base") for m in methods[1:] if (m, "base") not in family]
     for name, keep in (("states from 2 on", unseen_states), ("all", lambda task, state: True),
                        ("the last five tasks of each suite", last_tasks)):
