@@ -36,7 +36,7 @@ constexpr char kExamples[] =
     "  robostress residual --suite tabletop_goal --policy pi0 --server 10.0.0.7:50051\n"
     "  robostress residual --suite libero_goal --tasks 8-8 --policy replay --replay-file "
     "actions.safetensors \\\n"
-    "      --libero-root LIBERO --robosuite-root robosuite --out runs/libero_residual\n\n"
+    "      --out runs/libero_residual\n\n"
     "Columns: residual, ||eta|| / ||a|| per rollout, averaged over rollouts, as in the paper's "
     "tab:residual-magnitude;\n"
     "lag, what the same commands leave when they are played again without joint errors from the "

@@ -1,5 +1,7 @@
 // robostress-suites: lists suites, tasks and instructions; draws contact sheets of first frames.
 
+#include <unistd.h>
+
 #include <cstdio>
 #include <string>
 #include <vector>
@@ -72,11 +74,16 @@ std::vector<SuiteInfo> Suites(const CommandLine& line) {
   return suites;
 }
 
+// ", needs ..." where LIBERO's files are needed and not found.
+std::string NeedOf(const CommandLine& line, const SuiteInfo& info) {
+  if (!info.needs_libero || CheckLiberoFound(UnitOf(line, info)).ok()) return "";
+  return ", needs `robostress libero setup`";
+}
+
 absl::Status PrintText(const CommandLine& line) {
   for (const SuiteInfo& info : Suites(line)) {
     std::printf("%s  (%s, %d tasks, horizon %d%s%s%s)\n", info.name.c_str(), info.title.c_str(),
-                info.num_tasks, info.horizon, StatesOf(info).c_str(),
-                info.needs_libero ? ", needs `robostress libero setup`" : "",
+                info.num_tasks, info.horizon, StatesOf(info).c_str(), NeedOf(line, info).c_str(),
                 info.robot == "panda" ? "" : absl::StrCat(", --robot ", info.robot).c_str());
     int number = 0;
     RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, TasksOf(line, info));
@@ -120,28 +127,54 @@ absl::Status PrintJson(const CommandLine& line) {
   return absl::OkStatus();
 }
 
+FirstFrame GreyFrame(int size) {
+  return {"not drawn", {size, size, std::vector<uint8_t>(3 * size * size, 200)}};
+}
+
 // FOLDER/SUITE.svg of the suite that was asked for, of LIBERO's or of every embedded one.
 absl::Status WriteSheets(const CommandLine& line) {
+  // Drawing takes minutes: what does not depend on it comes first.
+  const std::string probe = absl::StrCat(line.sheets, "/.probe.", getpid());
+  absl::Status writes = MakeDirectories(line.sheets);
+  if (writes.ok()) writes = WriteFileAtomically(probe, "");
+  if (!writes.ok()) {
+    return absl::Status(writes.code(), absl::StrCat("--sheet ", line.sheets, ": ", writes.message(),
+                                                    "; give a folder that can be written"));
+  }
+  unlink(probe.c_str());
+  std::string missing;
   for (const SuiteInfo& info : Suites(line)) {
     if (info.robot != "panda") continue;
     const bool shown = line.libero || !line.folder_suites.empty();  // what needs LIBERO's files
     if (line.suite.empty() && info.needs_libero != shown) continue;
     const UnitConfig unit = UnitOf(line, info);
+    if (info.needs_libero) RS_RETURN_IF_ERROR(CheckLiberoFound(unit));
     std::vector<FirstFrame> frames(info.num_tasks);
+    int drawn = 0;
     for (int task = 0; task < info.num_tasks; ++task) {
       if (info.needs_libero)  // seconds each
         std::fprintf(stderr, "%s: drawing task %d, the last is %d\n", info.name.c_str(), task,
                      info.num_tasks - 1);
-      RS_ASSIGN_OR_RETURN(frames[task], RenderFirstFrame(unit, task, line.size));
+      absl::StatusOr<FirstFrame> frame = RenderFirstFrame(unit, task, line.size);
+      if (!frame.ok()) {
+        if (absl::IsUnavailable(frame.status())) return frame.status();  // nothing can be drawn
+        absl::StrAppend(&missing, "\n  ", info.name, " task ", task, ": ",
+                        frame.status().message());
+        frame = GreyFrame(line.size);
+      } else {
+        ++drawn;
+      }
+      frames[task] = *std::move(frame);
     }
+    if (drawn == 0) continue;
     const std::string title = absl::StrCat(info.name, ", initial state ", line.initial_state);
     RS_ASSIGN_OR_RETURN(const std::string svg, ContactSheetSvg(title, frames));
-    RS_RETURN_IF_ERROR(MakeDirectories(line.sheets));
     const std::string file = absl::StrCat(line.sheets, "/", info.name, ".svg");
     RS_RETURN_IF_ERROR(WriteFileAtomically(file, svg));
     std::printf("%s\n", file.c_str());
   }
-  return absl::OkStatus();
+  if (missing.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat("not drawn:", missing));
 }
 
 int Run(CommandLine& line) {

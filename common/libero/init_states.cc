@@ -24,6 +24,7 @@ static_assert(std::endian::native == std::endian::little, "the stored float64 ar
 constexpr int64_t kMaxValues = int64_t{1} << 22;      // LIBERO's largest matrix has 12 thousand
 constexpr size_t kMaxBytes = kMaxValues * 16 + 4096;  // two bytes of UTF-8 per stored byte
 constexpr int kMaxOpcodes = 256;                      // LIBERO's pickles have about 50
+constexpr double kBeyondLimit = 0.1;                  // [rad or m]
 constexpr double kMostValue = 1e6;                    // LIBERO's largest is below 3
 constexpr double kMostDistance = 100;                 // [m]
 constexpr double kNormTolerance = 0.01;
@@ -451,6 +452,20 @@ absl::Status CheckFreeBodies(const InitStates& states, const std::vector<FreeBod
       const double norm = std::hypot(std::hypot(pose[3], pose[4]), std::hypot(pose[5], pose[6]));
       if (!(std::abs(norm - 1) <= kNormTolerance))
         return fail("quaternion", 3, 6, absl::StrCat("has norm ", norm, ", must be 1"));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckLimitedJoints(const InitStates& states, const std::vector<LimitedJoint>& joints) {
+  for (int row = 0; row < states.rows; ++row) {
+    for (const LimitedJoint& joint : joints) {
+      const int column = 1 + joint.qpos;
+      const double value = states.row(row)[column];
+      if (value >= joint.low - kBeyondLimit && value <= joint.high + kBeyondLimit) continue;
+      return Bad(states.file,
+                 absl::StrCat("row ", row, ": joint '", joint.name, "', column ", column, ", is ",
+                              value, ", its limits are ", joint.low, " and ", joint.high));
     }
   }
   return absl::OkStatus();

@@ -39,4 +39,14 @@ struct FreeBody {
 // hundredth; the error names file, row, body and columns.
 absl::Status CheckFreeBodies(const InitStates& states, const std::vector<FreeBody>& bodies);
 
+// A hinge [rad] or slide [m] with limits, and its place in qpos.
+struct LimitedJoint {
+  std::string name;
+  int qpos = 0;
+  double low = 0, high = 0;
+};
+// In every row each joint must be within its limits to 0.1; the error names file, row, joint,
+// column and value.
+absl::Status CheckLimitedJoints(const InitStates& states, const std::vector<LimitedJoint>& joints);
+
 }  // namespace robostress::libero

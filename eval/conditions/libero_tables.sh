@@ -28,6 +28,8 @@ case $part in
   *) conditions=(--scenarios "$part" --severities 5) ;;
 esac
 run=$out/$method/$part-$first
-robostress sweep --no-report --quiet --suites libero_spatial,libero_object,libero_goal,libero_10 --tasks all "${conditions[@]}" \
+tasks=(--suites libero_spatial,libero_object,libero_goal,libero_10 --tasks all)
+[[ " $* " != *" --suites "* && " $* " != *" --tasks "* ]] || tasks=()  # a part, to try it: both are the caller's
+robostress sweep --no-report --quiet "${tasks[@]}" "${conditions[@]}" \
   --first-initial-state "$first" --episodes "$episodes" --out "$run" --set sim.pictures=plain "$@" --methods "${preset[@]}"
 [[ " $* " == *" --dry-run "* ]] || robostress store outcomes "$run" --out "$run.jsonl"

@@ -261,7 +261,10 @@ def length_summary(lengths, family):
 def residual(runs):
     values = defaultdict(list)
     for run in runs:
-        with open(pathlib.Path(run) / "episodes.csv", newline="") as file:
+        table = pathlib.Path(run) / "episodes.csv"
+        if not table.is_file():
+            raise SystemExit(f"{table} is missing: {run} is no run of eval/conditions/libero_tables.sh, or not finished")
+        with open(table, newline="") as file:
             for episode in csv.DictReader(file):
                 if episode["residual"]:
                     values[episode["scenario"]].append(float(episode["residual"]))
@@ -280,6 +283,8 @@ def main():
     if sys.argv[1:2] == ["--residual"]:
         return residual(sys.argv[2:])
     folder = pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else KEPT
+    if not folder.is_dir():
+        raise SystemExit(f"{folder} is no folder; eval/conditions/libero_tables.sh METHOD PART FIRST EPISODES {folder} fills it")
     methods = sorted(d.name for d in folder.iterdir() if d.is_dir() and list(d.glob("*.jsonl")))
     seven = {m: t for m in methods if (t := {c: tasks for (c, _), tasks in part_of(folder, m, "seven").items()})}
     if "base" not in seven:

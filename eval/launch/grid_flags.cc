@@ -107,7 +107,10 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
                  "seven)")
       ->delimiter(',');
   app.add_option("--severities,--severity", flags.severities, "Levels 1 to 5")->delimiter(',');
-  app.add_option("--policies,--policy", flags.policies, "nano, expert, replay, or a weights file")
+  app.add_option(
+         "--policies,--policy", flags.policies,
+         "nano, nano-pi05, nano-libero, expert, replay, a weights file and so on (default: nano, "
+         "nano-libero on LIBERO's tasks, nano-piper on a Piper's)")
       ->delimiter(',');
   app.add_option("--methods,--method", flags.methods, absl::StrJoin(MethodNames(), ", "))
       ->delimiter(',');
@@ -133,7 +136,10 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
                  "rtc (real-time chunking; nano and its kin)")
       ->check(cli::IsMember({"waiting", "switch", "crossfade", "rtc"}));
   app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
-  app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
+  app.add_option(
+      "--libero-root", flags.libero_root,
+      "LIBERO checkout, for suites libero_* (default: LIBERO_ROOT, else what `robostress libero "
+      "setup` linked)");
   app.add_option("--robosuite-root", flags.robosuite_root,
                  "robosuite checkout, for suites libero_*");
   app.add_option("--libero-tasks", flags.libero_tasks,

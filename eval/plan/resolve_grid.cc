@@ -262,11 +262,14 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
   for (const std::string& name : grid.suites) {
     const SuiteInfo* suite = FindSuite(name);
     if (suite == nullptr) continue;
-    for (const int task : grid.tasks) {
-      if (task < 0 || task >= suite->num_tasks) {
-        complaints.Add(absl::StrCat("task ", task, " of ", name,
-                                    " does not exist; it has tasks 0 to ", suite->num_tasks - 1));
-      }
+    std::vector<int> unknown;
+    for (const int task : grid.tasks)
+      if (task < 0 || task >= suite->num_tasks) unknown.push_back(task);
+    if (!unknown.empty()) {
+      complaints.Add(absl::StrCat(
+          "task ", unknown[0], " of ", name,
+          unknown.size() > 1 ? absl::StrCat(" (and ", unknown.size() - 1, " more)") : "",
+          " does not exist; it has tasks 0 to ", suite->num_tasks - 1));
     }
     if (grid.first_initial_state < 0 || grid.first_initial_state >= suite->num_initial_states) {
       complaints.Add(absl::StrCat("first initial state ", grid.first_initial_state, " of ", name,

@@ -214,6 +214,11 @@ std::string Origin(const std::string& root, const char* variable, const char* op
                                        : absl::StrCat(option, " ", root);
 }
 
+absl::Status LinkGone(const std::string& root, const std::string& what) {
+  return absl::NotFoundError(absl::StrCat(
+      root, ": what `robostress libero setup` linked is gone (no ", what, "); run it again"));
+}
+
 // The folder that holds `marker`: root itself or one of the candidates below it.
 absl::StatusOr<std::string> FindRoot(const std::string& given, const char* variable,
                                      const char* option, const std::vector<std::string>& candidates,
@@ -230,11 +235,8 @@ absl::StatusOr<std::string> FindRoot(const std::string& given, const char* varia
     if (fs::exists(path / marker, ignored))
       return fs::absolute(path, ignored).lexically_normal().string();
   }
-  if (root == RememberedLibero()) {
-    return absl::NotFoundError(absl::StrCat(root,
-                                            ": what `robostress libero setup` linked is gone (no ",
-                                            candidates.front(), "/", marker, "); run it again"));
-  }
+  if (root == RememberedLibero())
+    return LinkGone(root, absl::StrCat(candidates.front(), "/", marker));
   return absl::NotFoundError(absl::StrCat(Origin(root, variable, option), ": no ",
                                           candidates.front(), "/", marker, " below it; expected ",
                                           what));
@@ -251,6 +253,7 @@ absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
   std::error_code ignored;
   if (!fs::exists(paths.libero + "/assets", ignored)) {
     const std::string root = LiberoRoot(libero_root, "LIBERO_ROOT");
+    if (root == RememberedLibero()) return LinkGone(root, "libero/libero/assets");
     return absl::NotFoundError(absl::StrCat(
         Origin(root, "LIBERO_ROOT", "--libero-root"), ": no assets beside bddl_files in ",
         paths.libero,
@@ -331,9 +334,11 @@ absl::StatusOr<std::string> FindObjectFile(const LiberoPaths& paths, const std::
   for (const std::string_view folder : kFolders) {
     std::string path = absl::StrCat(assets, std::string(folder), "/", file, "/", file, ".xml");
     if (fs::exists(path, ignored)) return path;
+    if (fs::is_directory(fs::path(path).parent_path(), ignored))
+      return absl::NotFoundError(absl::StrCat("category '", category, "': no file ", path));
   }
   return absl::NotFoundError(absl::StrCat(
-      "no object or fixture of category '", category, "': ", assets, " has neither ",
+      "no object or fixture of category '", category, "': ", paths.libero, "/assets has neither ",
       "articulated_objects/", file, ".xml nor a folder ", file, " in stable_scanned_objects, ",
       "stable_hope_objects, turbosquid_objects or custom_objects"));
 }

@@ -1,17 +1,18 @@
 // robostress-libero: finds, checks and remembers LIBERO's own files.
 
-#include <spawn.h>
-#include <sys/wait.h>
-
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <filesystem>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/child_process.h"
 #include "common/libero/home.h"
 #include "common/libero/task_folder.h"
 #include "common/program_folder.h"
@@ -20,8 +21,6 @@
 #include "common/suites.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/setup.h"
-
-extern char** environ;
 
 namespace robostress::libero {
 namespace {
@@ -51,37 +50,47 @@ struct CommandLine {
 // Where --install puts the packages.
 std::string PackageFolder() { return LiberoHome() + "-packages"; }
 
-// Runs a program on this terminal.
+// Runs a program on this terminal; it ends with this one.
 absl::Status RunHere(const std::vector<std::string>& command) {
-  std::vector<char*> argv;
-  for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
-  argv.push_back(nullptr);
   const std::string text = absl::StrJoin(command, " ");
   std::printf("+ %s\n", text.c_str());
   std::fflush(stdout);
-  pid_t child = -1;
-  int state = 0;
-  const int error = posix_spawnp(&child, argv[0], nullptr, nullptr, argv.data(), environ);
-  if (error != 0)
-    return absl::UnavailableError(absl::StrCat("cannot run ", text, ": ", std::strerror(error)));
-  if (waitpid(child, &state, 0) == child && WIFEXITED(state) && WEXITSTATUS(state) == 0)
-    return absl::OkStatus();
+  std::vector<std::string> started = command;
+  if (!absl::StrContains(command[0], '/')) started.insert(started.begin(), "/usr/bin/env");
+  RS_ASSIGN_OR_RETURN(ChildProcess child, ChildProcess::Start(started, {}, "/proc/self/fd/1"));
+  if (child.WaitForEnd().code == 0) return absl::OkStatus();
   return absl::UnavailableError(
       absl::StrCat("this failed, its message is above: ", text,
                    ". It needs a Python with venv (Debian: python3-venv) and PyPI"));
 }
 
-std::vector<std::string> PipInstall(const std::string& pip) {
+std::vector<std::string> PipInstall(const std::string& pip, bool anew = false) {
   std::vector<std::string> command = {pip, "install", "--no-deps", "--ignore-requires-python"};
+  if (anew) command.push_back("--force-reinstall");
   command.insert(command.end(), std::begin(kPackages), std::end(kPackages));
   return command;
 }
 
-absl::Status Install(const std::string& python) {
+// Anew where a file is missing or differs: pip does not look.
+absl::Status Install(const std::string& python, const std::vector<NeededFile>& needed) {
   std::printf("%sInstalling 0.55 GB of packages, 1.3 GB on the disk, into %s\n", kLicences,
               PackageFolder().c_str());
+  if (const absl::Status made = MakeDirectories(PackageFolder()); !made.ok()) {
+    return absl::Status(made.code(),
+                        absl::StrCat(made.message(), "; give another folder in XDG_DATA_HOME"));
+  }
   RS_RETURN_IF_ERROR(RunHere({python, "-m", "venv", PackageFolder()}));
-  return RunHere(PipInstall(PackageFolder() + "/bin/pip"));
+  const std::string pip = PackageFolder() + "/bin/pip";
+  RS_RETURN_IF_ERROR(RunHere(PipInstall(pip)));
+  RS_ASSIGN_OR_RETURN(const std::vector<std::string> own,
+                      PythonRoots(PackageFolder() + "/bin/python"));
+  for (const FoundPart& part : FindParts(needed, own, {})) {
+    if (part.complete()) continue;
+    std::printf("%zu files of %s are missing or differ: the packages are installed anew\n",
+                part.missing.size() + part.different.size(), part.part.c_str());
+    return RunHere(PipInstall(pip, /*anew=*/true));
+  }
+  return absl::OkStatus();
 }
 
 void PrintNames(const char* what, const std::vector<std::string>& names) {
@@ -101,20 +110,58 @@ void Print(const FoundPart& part) {
   PrintNames("differs", part.different);
 }
 
-// Of files that are missing those that are no picture: nothing stands in for them.
+// Of files that are missing or differ those that are no picture: nothing stands in for them.
 void PrintLost(const std::vector<FoundPart>& parts) {
-  std::vector<std::string> lost;
+  std::vector<std::string> missing, different;
   for (const FoundPart& part : parts) {
-    for (const std::string& file : part.missing) {
-      const std::string ending = std::filesystem::path(file).extension().string();
-      if (ending == ".xml" || ending == ".bddl" || ending == ".pruned_init")
-        lost.push_back(absl::StrCat(part.part, "/", file));
+    for (const auto& [files, lost] :
+         {std::pair(&part.missing, &missing), std::pair(&part.different, &different)}) {
+      for (const std::string& file : *files) {
+        const std::string ending = std::filesystem::path(file).extension().string();
+        if (ending == ".xml" || ending == ".bddl" || ending == ".pruned_init")
+          lost->push_back(absl::StrCat(part.part, "/", file));
+      }
     }
   }
-  if (lost.empty()) return;
-  std::printf("\nBut %zu of the missing files are no pictures; tasks that read them are refused:\n",
-              lost.size());
-  PrintNames("missing", lost);
+  if (!missing.empty()) {
+    std::printf(
+        "\nBut %zu of the missing files are no pictures; tasks that read them are refused:\n",
+        missing.size());
+    PrintNames("missing", missing);
+  }
+  if (!different.empty()) {
+    std::printf(
+        "\nBut %zu of the files that differ are no pictures; tasks that read them are others than "
+        "LIBERO's, or refused:\n",
+        different.size());
+    PrintNames("differs", different);
+  }
+}
+
+// Folders that the user named and nothing was taken from.
+void PrintUnused(const CommandLine& line, const std::vector<FoundPart>& parts) {
+  for (const std::string& site : line.sites) {
+    std::error_code ignored;
+    const std::string real = std::filesystem::canonical(site, ignored).string();
+    const bool used = std::any_of(parts.begin(), parts.end(), [&](const FoundPart& part) {
+      return part.folder == real || absl::StartsWith(part.folder, real + "/");
+    });
+    if (!used)
+      std::printf("nothing of LIBERO lies in %s: the above is from elsewhere\n", site.c_str());
+  }
+}
+
+// What to do about files that are missing or differ.
+std::string Repair(const std::vector<FoundPart>& parts) {
+  std::error_code ignored;
+  const std::string own = std::filesystem::canonical(PackageFolder(), ignored).string();
+  const bool ours = !own.empty() && std::any_of(parts.begin(), parts.end(), [&](const auto& part) {
+    return !part.complete() && absl::StartsWith(part.folder, own + "/");
+  });
+  return absl::StrCat(ours ? "`robostress libero setup --install` installs them anew"
+                           : "install their packages anew, or "
+                             "`robostress libero setup --install` a copy of its own",
+                      "; --accept-differences links them as they are");
 }
 
 void PrintRemedy() {
@@ -134,7 +181,7 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
                       ReadNeededFiles(DataPath(kNeededFiles)));
   std::string python = line.python.empty() ? UsualPython() : line.python;
   if (line.install) {
-    RS_RETURN_IF_ERROR(Install(python));
+    RS_RETURN_IF_ERROR(Install(python, needed));
     python = PackageFolder() + "/bin/python";
   }
   std::vector<std::string> asked = line.sites;
@@ -157,15 +204,15 @@ absl::StatusOr<int> Setup(const CommandLine& line) {
     found = found && !part.folder.empty();
     complete = complete && part.complete();
   }
+  PrintUnused(line, parts);
   if (!found || (!complete && !line.accept)) {
     if (!found) PrintRemedy();
     std::fflush(stdout);
     return absl::FailedPreconditionError(
-        found
-            ? "nothing was linked: not all files are those of LIBERO 8f1084e and robosuite 1.4.0 "
-              "or "
-              "1.4.1, with which our results were made; --accept-differences links them as they are"
-            : "nothing was linked");
+        found ? absl::StrCat("no link was changed: not all files are those of LIBERO 8f1084e and "
+                             "robosuite 1.4.0 or 1.4.1, with which our results were made; ",
+                             Repair(parts))
+              : "no link was changed");
   }
   if (line.check) return 0;
   RS_RETURN_IF_ERROR(LinkParts(parts, home));

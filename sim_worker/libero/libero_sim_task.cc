@@ -50,6 +50,32 @@ std::vector<FreeBody> FreeBodies(const mjModel& model) {
   return bodies;
 }
 
+std::vector<LimitedJoint> LimitedJoints(const mjModel& model) {
+  std::vector<LimitedJoint> joints;
+  for (int joint = 0; joint < model.njnt; ++joint) {
+    const int type = model.jnt_type[joint];
+    if (!model.jnt_limited[joint] || (type != mjJNT_HINGE && type != mjJNT_SLIDE)) continue;
+    const char* name = mj_id2name(&model, mjOBJ_JOINT, joint);
+    joints.push_back({name == nullptr ? "" : name, model.jnt_qposadr[joint],
+                      model.jnt_range[2 * joint], model.jnt_range[2 * joint + 1]});
+  }
+  return joints;
+}
+
+// An error of a file that came with LIBERO or robosuite.
+absl::Status WithRemedy(const LiberoPaths& paths, const absl::Status& status) {
+  const std::string message(status.message());
+  for (const std::string& folder :
+       {paths.libero + "/assets/", paths.libero + "/init_files/", paths.robosuite + "/"}) {
+    if (!absl::StrContains(message, folder)) continue;
+    return absl::Status(status.code(),
+                        absl::StrCat(message,
+                                     "; unless you changed it, run `robostress libero "
+                                     "setup`, which checks every file that was published"));
+  }
+  return status;
+}
+
 }  // namespace
 
 Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
@@ -63,7 +89,9 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   RS_ASSIGN_OR_RETURN(const LiberoPaths paths, FindLibero(unit.libero_root, unit.robosuite_root));
   RS_ASSIGN_OR_RETURN(const TaskFiles files, FindTaskFiles(paths, unit, task));
   RS_ASSIGN_OR_RETURN(BddlProblem problem, ReadBddl(files.bddl));
-  RS_ASSIGN_OR_RETURN(LiberoScene scene, ComposeScene(paths, std::move(problem)));
+  absl::StatusOr<LiberoScene> composed = ComposeScene(paths, std::move(problem));
+  if (!composed.ok()) return WithRemedy(paths, composed.status());
+  LiberoScene& scene = *composed;
   AnnounceMissingVisuals(scene);
   for (const std::string& doubt : DoubtsOf(scene.problem)) spdlog::warn("{}", doubt);
 
@@ -76,10 +104,14 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   result->scene_ = std::make_unique<LiberoScene>(std::move(scene));
   RS_ASSIGN_OR_RETURN(LiberoGoal goal, LiberoGoal::Create(*result->scene_));
   result->goal_ = std::make_unique<LiberoGoal>(std::move(goal));
-  RS_ASSIGN_OR_RETURN(result->init_states_, ReadInitStates(files.initial_states));
+  absl::StatusOr<InitStates> states = ReadInitStates(files.initial_states);
+  if (!states.ok()) return WithRemedy(paths, states.status());
+  result->init_states_ = *std::move(states);
   RS_RETURN_IF_ERROR(
       CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
   RS_RETURN_IF_ERROR(CheckFreeBodies(result->init_states_, FreeBodies(*result->scene_->model)));
+  RS_RETURN_IF_ERROR(
+      CheckLimitedJoints(result->init_states_, LimitedJoints(*result->scene_->model)));
   RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit.libero_fixtures));
   if (fixtures.source != LiberoFixtures::Source::kCentred) {
     RS_ASSIGN_OR_RETURN(FixturePoses poses,

@@ -16,6 +16,9 @@ namespace robostress {
 // replaced. `task` is the index in the benchmark's order, in a folder in that of the names.
 absl::StatusOr<std::unique_ptr<SimTask>> MakeLiberoTask(const UnitConfig& unit, int task);
 
+// Whether the checkouts that the unit's suite reads are found.
+absl::Status CheckLiberoFound(const UnitConfig& unit);
+
 // Whether the files of all of unit.tasks can be read, place every fixture and hold the initial
 // states that the unit starts from: what can be said before anything is played.
 absl::Status CheckLiberoTasks(const UnitConfig& unit);

@@ -68,6 +68,9 @@ absl::StatusOr<LiberoGoal> LiberoGoal::Create(const LiberoScene& scene) {
       const auto found = scene.sites.find(name);
       return found == scene.sites.end() ? nullptr : &found->second;
     };
+    if (known->arguments == 2 && source.arguments[0] == source.arguments[1])
+      return error(absl::StrCat("'", source.arguments[0], "' cannot be ", source.predicate,
+                                " itself; correct one of the two names"));
     Atom atom{known->kind};
     const std::string& last = source.arguments.back();
     if (known->arguments == 2 || known->kind == Kind::kUp) {

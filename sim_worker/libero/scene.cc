@@ -153,7 +153,7 @@ absl::StatusOr<SharedModel> CompileScene(const BddlProblem& bddl, const std::str
       absl::StrCat(
           message, "\nin the composed scene: ", absl::StripAsciiWhitespace(lines[number - 1]),
           "\nnames begin with robot0_, gripper0_, mount0_ or the instance of the BDDL file: "
-          "correct that part's MJCF file"));
+          "correct that part's MJCF file, or what it reads"));
 }
 
 std::shared_ptr<mjModel> CopyModel(const mjModel& model) {

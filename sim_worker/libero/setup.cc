@@ -27,6 +27,7 @@ namespace fs = std::filesystem;
 
 constexpr char kCode[] = "libero/libero/";
 constexpr char kRobosuite[] = "robosuite/models/assets/";
+constexpr char kMoveAway[] = "; move away what is there, or give another folder in XDG_DATA_HOME";
 
 struct Part {
   const char* path;
@@ -232,6 +233,13 @@ std::vector<FoundPart> FindParts(const std::vector<NeededFile>& needed,
 absl::Status LinkParts(const std::vector<FoundPart>& parts, const std::string& home) {
   for (const FoundPart& part : parts) {
     const fs::path link = fs::path(home) / part.part;
+    std::error_code ignored;
+    if (fs::is_symlink(link, ignored) || !fs::exists(link, ignored)) continue;
+    return absl::UnavailableError(absl::StrCat("cannot link ", link.string(), " to ", part.folder,
+                                               ": it is no link", kMoveAway));
+  }
+  for (const FoundPart& part : parts) {
+    const fs::path link = fs::path(home) / part.part;
     RS_RETURN_IF_ERROR(MakeDirectories(link.parent_path().string()));
     std::error_code error, ignored;
     if (part.folder.empty()) {
@@ -244,9 +252,8 @@ absl::Status LinkParts(const std::vector<FoundPart>& parts, const std::string& h
     if (!error) fs::rename(fresh, link, error);
     if (error) {
       fs::remove(fresh, ignored);
-      return absl::UnavailableError(
-          absl::StrCat("cannot link ", link.string(), " to ", part.folder, ": ", error.message(),
-                       "; move away what is there, or give another folder in XDG_DATA_HOME"));
+      return absl::UnavailableError(absl::StrCat("cannot link ", link.string(), " to ", part.folder,
+                                                 ": ", error.message(), kMoveAway));
     }
   }
   return absl::OkStatus();

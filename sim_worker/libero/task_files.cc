@@ -91,6 +91,10 @@ absl::Status CheckLiberoTasks(const UnitConfig& unit) {
   return absl::OkStatus();
 }
 
+absl::Status CheckLiberoFound(const UnitConfig& unit) {
+  return libero::FindLibero(unit.libero_root, unit.robosuite_root).status();
+}
+
 absl::StatusOr<std::vector<LiberoTaskLine>> LiberoTaskLines(const UnitConfig& unit) {
   std::vector<LiberoTaskLine> lines;
   if (unit.libero_tasks.empty()) {

@@ -156,6 +156,19 @@ TEST(InitStatesTest, APoseThatIsNoneNamesRowBodyAndColumns) {
               HasSubstr("row 1: the position of 'mug_1', columns 2 to 4, is 900000 m from"));
 }
 
+TEST(InitStatesTest, AJointFarOutOfItsLimitsIsNamed) {
+  const auto error = [](double value) {
+    const absl::StatusOr<InitStates> states = ParseInitStates(
+        "task.pruned_init", Zip("archive/data.pkl", Pickle({0, 0.1, 0, 0, value, 0}, 2, 3)));
+    return std::string(CheckLimitedJoints(*states, {{"drawer", 0, -0.16, 0}}).message());
+  };
+  EXPECT_EQ(error(-0.16), "");
+  EXPECT_EQ(error(0.09), "");
+  EXPECT_THAT(error(90), HasSubstr("task.pruned_init: row 1: joint 'drawer', column 1, is 90, its "
+                                   "limits are -0.16 and 0"));
+  EXPECT_THAT(error(-0.3), HasSubstr("row 1: joint 'drawer'"));
+}
+
 TEST(InitStatesTest, SurvivesDamagedFiles) {
   const std::string pickle = Pickle(kValues, 2, 3);
   RandomStream random(StreamKey("init states damage"));

@@ -198,6 +198,7 @@ TEST_F(PredicatesTest, KitchenCounterOfTheGoalSuite) {
   EXPECT_THAT(ErrorOf("in", {bowl, plate}), HasSubstr("'in' needs a region"));
   EXPECT_THAT(ErrorOf("open", {"flat_stove_1"}), HasSubstr("'flat_stove_1' cannot open"));
   EXPECT_THAT(ErrorOf("turnon", {plate}), HasSubstr("'plate_1' cannot turnon"));
+  EXPECT_THAT(ErrorOf("on", {plate, plate}), HasSubstr("'plate_1' cannot be on itself"));
 }
 
 TEST_F(PredicatesTest, MicrowaveClosesAsAnObjectAndContainsInWorldAxes) {

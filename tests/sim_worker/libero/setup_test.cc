@@ -3,9 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/libero/home.h"
@@ -16,9 +19,11 @@ namespace robostress::libero {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 constexpr char kNeeded[] = LIBERO_SOURCES "/needed_files.sha256";
@@ -134,9 +139,11 @@ TEST_F(LiberoSetup, ANewLinkTakesThePlaceOfTheOldAndAFolderIsLeftAlone) {
   }
   fs::remove(home + "/libero/libero/assets");
   fs::create_directories(home + "/libero/libero/assets/kept");
+  const fs::path before = fs::read_symlink(home + "/libero/libero/bddl_files");
   const absl::Status status = LinkParts(FindParts(Needed(), {}, {(folder_ / "a").string()}), home);
   EXPECT_THAT(std::string(status.message()), HasSubstr("cannot link"));
   EXPECT_TRUE(fs::exists(home + "/libero/libero/assets/kept"));
+  EXPECT_EQ(fs::read_symlink(home + "/libero/libero/bddl_files"), before) << "half of them changed";
 }
 
 TEST_F(LiberoSetup, LooksWhereLiberosOwnConfigurationPoints) {
@@ -215,7 +222,7 @@ TEST_F(LiberoSetup, TheProgramLinksNothingThatDiffersUnlessTold) {
   const std::string plain = "setup --site " + (folder_ / "site").string();
   auto [output, code] = RunProgram("HOME=/nonexistent PATH=/usr/bin " + program, plain);
   EXPECT_EQ(code, 1) << output;
-  EXPECT_THAT(output, HasSubstr("nothing was linked: not all files are those of"));
+  EXPECT_THAT(output, HasSubstr("no link was changed: not all files are those of"));
   EXPECT_THAT(output, HasSubstr("and 32 more"));
   EXPECT_EQ(RememberedLibero(), "");
   std::tie(output, code) = RunProgram(program, plain + " --accept-differences --check");
@@ -224,7 +231,87 @@ TEST_F(LiberoSetup, TheProgramLinksNothingThatDiffersUnlessTold) {
   std::tie(output, code) = RunProgram(program, plain + " --accept-differences");
   EXPECT_EQ(code, 0) << output;
   EXPECT_THAT(output, HasSubstr("of the missing files are no pictures; tasks that read them are"));
+  EXPECT_THAT(output, HasSubstr("But 1 of the files that differ are no pictures"));
   EXPECT_EQ(RememberedLibero(), LiberoHome());
+}
+
+TEST_F(LiberoSetup, TheProgramSaysWhatItDidNotTake) {
+  MakeSite("site", "libero/libero/assets");
+  fs::create_directories(folder_ / "empty");
+  const auto [output, code] =
+      RunProgram(BIN_DIR "/robostress-libero",
+                 absl::StrCat("setup --check --site ", (folder_ / "empty").string(), " --site ",
+                              (folder_ / "site").string()));
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output,
+              AllOf(HasSubstr("nothing of LIBERO lies in " + (folder_ / "empty").string()),
+                    Not(HasSubstr("nothing of LIBERO lies in " + (folder_ / "site").string()))));
+}
+
+// A Python whose venv has a pip that notes what it is asked for, and imports from the site.
+TEST_F(LiberoSetup, TheProgramRepairsWhatItInstalled) {
+  MakeSite("site", "libero/libero/assets");
+  const std::string list = Write("calls", "");
+  const std::string python = Write("python", absl::StrCat(R"(#!/bin/sh
+if [ "$1" = -m ]; then
+  mkdir -p "$3/bin"
+  cp "$0" "$3/bin/python"
+  printf '#!/bin/sh\necho "$@" >> )",
+                                                          list, R"(\n' > "$3/bin/pip"
+  chmod +x "$3/bin/pip"
+else
+  echo )",
+                                                          (folder_ / "site").string(), "\nfi\n"));
+  fs::permissions(python, fs::perms::owner_all);
+  const auto [output, code] =
+      RunProgram(BIN_DIR "/robostress-libero", "setup --install --python " + python);
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output, HasSubstr("are missing or differ: the packages are installed anew"));
+  const std::string calls = ReadFile(list).value_or("");
+  EXPECT_EQ(std::count(calls.begin(), calls.end(), '\n'), 2) << calls;
+  EXPECT_THAT(calls.substr(calls.find('\n')), HasSubstr("--force-reinstall hf-libero"));
+  std::ofstream(folder_ / "file") << "no folder";
+  const auto [refused, refusal] =
+      RunProgram("XDG_DATA_HOME=" + (folder_ / "file").string() + " " BIN_DIR "/robostress-libero",
+                 "setup --install --python " + python);
+  EXPECT_EQ(refusal, 1) << refused;
+  EXPECT_THAT(refused, HasSubstr("give another folder in XDG_DATA_HOME"));
+}
+
+TEST_F(LiberoSetup, ASheetShowsTheTasksThatCanBeDrawn) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const fs::path libero = fs::path(LiberoTree()) / "libero/libero", tasks = folder_ / "tasks";
+  fs::create_directories(tasks);
+  fs::copy(libero / "init_files/libero_goal/put_the_bowl_on_the_plate.pruned_init", tasks);
+  fs::copy(libero / "bddl_files/libero_goal/put_the_bowl_on_the_plate.bddl", tasks);
+  Write("tasks/broken.bddl", "(define (problem");
+  const auto suites = [&](const std::string& more) {
+    return RunProgram(BIN_DIR "/robostress-suites",
+                      absl::StrCat(" --libero-root ", LiberoTree(), " --robosuite-root ",
+                                   RobosuiteTree(), " --libero-tasks ", tasks.string(), " ", more));
+  };
+  const auto [output, code] = suites("--size 16 --sheet " + (folder_ / "sheets").string());
+  if (absl::StrContains(output, "EGL")) GTEST_SKIP() << output;
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output, HasSubstr("suites: not drawn:\n  tasks task 0: "));
+  const std::string svg = ReadFile((folder_ / "sheets/tasks.svg").string()).value_or("");
+  EXPECT_THAT(svg, AllOf(HasSubstr(">drawn<"), HasSubstr(">plate<")));
+  const auto [refused, refusal] =
+      suites("--sheet " + (tasks / "put_the_bowl_on_the_plate.bddl").string());
+  EXPECT_EQ(refusal, 1);
+  EXPECT_THAT(refused, AllOf(HasSubstr("suites: --sheet "), Not(HasSubstr("drawing task"))));
+}
+
+TEST_F(LiberoSetup, TheListOfSuitesSaysWhatIsNeeded) {
+  const std::string listed = "--suite libero_goal";
+  EXPECT_THAT(RunProgram(BIN_DIR "/robostress-suites", listed).first,
+              HasSubstr("needs `robostress libero setup`"));
+  SKIP_WITHOUT_SHARED_DATA();
+  EXPECT_THAT(
+      RunProgram(BIN_DIR "/robostress-suites", absl::StrCat(listed, " --libero-root ", LiberoTree(),
+                                                            " --robosuite-root ", RobosuiteTree()))
+          .first,
+      Not(HasSubstr("needs `robostress libero setup`")));
 }
 
 TEST_F(LiberoSetup, TheProgramSaysHowToGetWhatIsNowhere) {
