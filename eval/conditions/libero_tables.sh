@@ -28,7 +28,7 @@ case $part in
   *) conditions=(--scenarios "$part" --severities 5) ;;
 esac
 run=$out/$method/$part-$first
-tasks=(--suites libero_spatial,libero_object,libero_goal,libero_10 --tasks all)
+tasks=(--suites "libero_spatial,libero_object,libero_goal,libero_10" --tasks all)
 [[ " $* " != *" --suites "* && " $* " != *" --tasks "* ]] || tasks=()  # a part, to try it: both are the caller's
 robostress sweep --no-report --quiet "${tasks[@]}" "${conditions[@]}" \
   --first-initial-state "$first" --episodes "$episodes" --out "$run" --set sim.pictures=plain "$@" --methods "${preset[@]}"
