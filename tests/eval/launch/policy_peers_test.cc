@@ -208,9 +208,8 @@ TEST_F(PolicyPeersThatDie, AKilledWorkerCostsAtMostItsEpisode) {
 TEST_F(PolicyPeersThatDie, AKilledServerCostsAtMostItsQuestion) {
   std::atomic<int> questions = 0;
   // Dead from its 100th question on, for whoever connects before the thread below has noticed, too.
-  auto server = std::make_unique<PolicyPeer>([&](int, int) {
-    return questions >= 100 || ++questions == 100 ? std::string() : Stay();
-  });
+  auto server = std::make_unique<PolicyPeer>(
+      [&](int, int) { return questions >= 100 || ++questions == 100 ? std::string() : Stay(); });
   const uint16_t port = server->port();
   std::thread dies([&] {
     while (questions < 100) std::this_thread::sleep_for(std::chrono::milliseconds(1));
