@@ -163,12 +163,17 @@ std::string PathOf(const CommandLine& line, const Job& job) {
 // What an interruption drops.
 class Unfinished {
  public:
-  void Begin(const Job& job, const std::string& temporary) { Set(job, temporary); }
+  void Begin(const Job& job, const std::string& temporary) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    job_ = job;
+    temporary_ = temporary;
+    episodes_ = 0;
+  }
   void Keep() {
     const std::lock_guard<std::mutex> lock(mutex_);
     ++episodes_;
   }
-  void End() { Set({}, ""); }
+  void End() { Begin({}, ""); }
   void Drop() {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (job_.suite.empty()) {
@@ -183,12 +188,6 @@ class Unfinished {
   }
 
  private:
-  void Set(const Job& job, const std::string& temporary) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    job_ = job;
-    temporary_ = temporary;
-    episodes_ = 0;
-  }
   std::mutex mutex_;
   Job job_;
   std::string temporary_;
