@@ -1,6 +1,7 @@
 #include "sim_worker/libero/expert_skills.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -214,7 +215,8 @@ class ShutDrawer : public ExpertSkill {
 
 class TurnKnob : public ExpertSkill {
  public:
-  TurnKnob(const mjModel& model, int joint) : joint_(joint), body_(model.jnt_bodyid[joint]) {}
+  TurnKnob(const mjModel& model, int joint, bool on)
+      : body_(model.jnt_bodyid[joint]), lead_(on ? kLead : -kLead) {}
 
   ToolGoal Decide(const ExpertView& view) const override {
     // The ridge lies along the body's y axis; it is held across.
@@ -226,7 +228,7 @@ class TurnKnob : public ExpertSkill {
     const bool at = error.head<2>().norm() < 0.012 && std::abs(error.z()) < 0.012;
     const bool closed = view.Gap() < 0.035;
     if (at && (closed || std::abs(std::remainder(view.Yaw() - yaw, M_PI)) < 0.15))
-      return {grasp, DownTurned(view, yaw + (closed ? kLead : 0)), kClose};
+      return {grasp, DownTurned(view, yaw + (closed ? lead_ : 0)), kClose};
     return {tool + Funnel(view, tool, grasp, kFingerRadius, -1), DownTurned(view, yaw), kOpen};
   }
   Aim Look(const ExpertView& view) const override { return {Ridge(view), Ridge(view)}; }
@@ -237,7 +239,8 @@ class TurnKnob : public ExpertSkill {
   }
 
   static constexpr double kLead = 0.5;  // [rad]
-  const int joint_, body_;
+  const int body_;
+  const double lead_;
 };
 
 class Push : public ExpertSkill {
@@ -284,6 +287,61 @@ int DoorLeaf(const mjModel& model, int joint) {
   }
   return leaf;
 }
+
+// The upright bar of a door: of its collision capsules the one along the hinge; -1 if there is
+// none.
+int DoorBar(const mjModel& model, int joint) {
+  const int body = model.jnt_bodyid[joint];
+  for (int geom = model.body_geomadr[body];
+       geom < model.body_geomadr[body] + model.body_geomnum[body]; ++geom) {
+    if (model.geom_group[geom] != 0 || model.geom_type[geom] != mjGEOM_CAPSULE) continue;
+    double along[3];
+    mju_rotVecQuat(along, std::array{0.0, 0.0, 1.0}.data(), model.geom_quat + 4 * geom);
+    if (std::abs(mju_dot3(along, model.jnt_axis + 3 * joint)) > 0.99) return geom;
+  }
+  return -1;
+}
+
+// Holds the bar from above, a finger on either side of it along the leaf, and leads it around the
+// hinge; the hand turns with the leaf, which leaves little room behind the bar.
+class PullDoor : public ExpertSkill {
+ public:
+  PullDoor(const mjModel& model, int joint, int bar)
+      : joint_(joint), bar_(bar), top_(model.geom_size[3 * bar + 1]) {}
+
+  ToolGoal Decide(const ExpertView& view) const override {
+    const Vector3d hinge = view.JointAnchor(joint_), tool = view.Tool();
+    const Vector3d bar = view.Geom(bar_) + Vector3d(0, 0, top_ - kBelowTop);
+    Vector3d arm = bar - hinge;
+    arm.z() = 0;
+    const double yaw = std::remainder(std::atan2(arm.y(), arm.x()) - M_PI / 2, M_PI);
+    const Vector3d error = bar - tool;
+    const bool closed = view.Gap() < 0.035;
+    const double slack = closed ? 2 : 1;
+    const bool at = error.head<2>().norm() < 0.01 * slack && std::abs(error.z()) < 0.012 * slack;
+    const bool turned = std::abs(std::remainder(view.Yaw() - yaw, M_PI)) < 0.15 * slack;
+    if (at && closed) {
+      const Eigen::AngleAxisd ahead(-kLead, view.JointAxis(joint_));
+      Vector3d goal = hinge + ahead * arm;
+      goal.z() = bar.z();
+      return {goal, DownTurned(view, yaw - kLead), kClose};
+    }
+    if (at && turned) return {bar, DownTurned(view, yaw), kClose};
+    if (view.Gap() < kOpenGap) return {tool, view.Hand(), kOpen};
+    return {tool + Funnel(view, tool, bar, kFingerRadius, -1), DownTurned(view, yaw), kOpen};
+  }
+  Aim Look(const ExpertView& view) const override {
+    const Vector3d bar = view.Geom(bar_), hinge = view.JointAnchor(joint_);
+    const double left = view.model().jnt_range[2 * joint_] - view.Joint(joint_);
+    return {bar, hinge + Eigen::AngleAxisd(left, view.JointAxis(joint_)) * (bar - hinge)};
+  }
+
+ private:
+  static constexpr double kBelowTop = 0.015;  // [m] of the bar's end
+  static constexpr double kLead = 0.2;        // [rad]
+  const int joint_, bar_;
+  const double top_;
+};
 
 // Pushes the leaf's outer edge around the hinge with closed fingers.
 class ShutDoor : public ExpertSkill {
@@ -348,12 +406,16 @@ std::unique_ptr<ExpertSkill> MakePullDrawer(const mjModel& model, int joint) {
 std::unique_ptr<ExpertSkill> MakeShutDrawer(const mjModel& model, int joint) {
   return std::make_unique<ShutDrawer>(model, joint);
 }
-std::unique_ptr<ExpertSkill> MakeTurnKnob(const mjModel& model, int joint) {
-  return std::make_unique<TurnKnob>(model, joint);
+std::unique_ptr<ExpertSkill> MakeTurnKnob(const mjModel& model, int joint, bool on) {
+  return std::make_unique<TurnKnob>(model, joint, on);
 }
 std::unique_ptr<ExpertSkill> MakePush(const LiberoObject& object,
                                       std::function<Vector3d(const ExpertView&)> place) {
   return std::make_unique<Push>(object, std::move(place));
+}
+std::unique_ptr<ExpertSkill> MakePullDoor(const mjModel& model, int joint) {
+  const int bar = DoorBar(model, joint);
+  return bar < 0 ? nullptr : std::make_unique<PullDoor>(model, joint, bar);
 }
 std::unique_ptr<ExpertSkill> MakeShutDoor(const mjModel& model, int joint) {
   const int leaf = DoorLeaf(model, joint);

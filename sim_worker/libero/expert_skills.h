@@ -55,12 +55,14 @@ int DrawerBar(const mjModel& model, int joint);
 // Pulls a drawer open by its bar; pushes it shut.
 std::unique_ptr<ExpertSkill> MakePullDrawer(const mjModel& model, int joint);
 std::unique_ptr<ExpertSkill> MakeShutDrawer(const mjModel& model, int joint);
-// Turns a stove's knob by its ridge.
-std::unique_ptr<ExpertSkill> MakeTurnKnob(const mjModel& model, int joint);
+// Turns a stove's knob by its ridge, on or off.
+std::unique_ptr<ExpertSkill> MakeTurnKnob(const mjModel& model, int joint, bool on);
 // Pushes a flat object over the table, from behind.
 std::unique_ptr<ExpertSkill> MakePush(const LiberoObject& object,
                                       std::function<Eigen::Vector3d(const ExpertView&)> place);
-// Pushes a door on a vertical hinge shut; null where it has no leaf.
+// Pulls a door on a vertical hinge open by its upright bar; pushes it shut. Null where it has no bar
+// or no leaf.
+std::unique_ptr<ExpertSkill> MakePullDoor(const mjModel& model, int joint);
 std::unique_ptr<ExpertSkill> MakeShutDoor(const mjModel& model, int joint);
 
 }  // namespace robostress::libero

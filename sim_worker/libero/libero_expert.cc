@@ -53,10 +53,11 @@ struct Step {
   std::unique_ptr<ExpertSkill> skill;
 };
 
-// The order in which atoms are reached, whatever the file's: what is opened or turned on, then what
-// is put somewhere, then what is shut.
+// The order in which atoms are reached, whatever the file's: what is opened or turned, then what is
+// put somewhere, then what is shut.
 int Rank(const BddlAtom& atom) {
-  if (atom.predicate == "turnon" || atom.predicate == "open") return 0;
+  if (atom.predicate == "turnon" || atom.predicate == "turnoff" || atom.predicate == "open")
+    return 0;
   return atom.predicate == "close" ? 2 : 1;
 }
 
@@ -125,10 +126,10 @@ class Plan {
     if (atom.predicate == "on" || atom.predicate == "in") return AddPlacing(index, atom);
     if (atom.predicate == "open" || atom.predicate == "close") {
       skill = Articulated(atom);
-    } else if (atom.predicate == "turnon") {
+    } else if (atom.predicate == "turnon" || atom.predicate == "turnoff") {
       const LiberoObject* stove = Object(atom.arguments[0]);
       if (stove != nullptr && stove->joints.size() == 1)
-        skill = MakeTurnKnob(*scene_.model, stove->joints[0]);
+        skill = MakeTurnKnob(*scene_.model, stove->joints[0], atom.predicate == "turnon");
     }
     if (skill == nullptr) return false;
     steps_.push_back({[this, index](const ExpertView&) { return Holds(index); }, std::move(skill)});
@@ -144,8 +145,9 @@ class Plan {
       return open ? MakePullDrawer(*scene_.model, joint) : MakeShutDrawer(*scene_.model, joint);
     }
     const LiberoObject* object = Object(atom.arguments[0]);
-    if (object == nullptr || object->joints.size() != 1 || open) return nullptr;
-    return MakeShutDoor(*scene_.model, object->joints[0]);  // null where it finds no leaf
+    if (object == nullptr || object->joints.size() != 1) return nullptr;
+    return open ? MakePullDoor(*scene_.model, object->joints[0])
+                : MakeShutDoor(*scene_.model, object->joints[0]);
   }
 
   bool AddPlacing(size_t index, const BddlAtom& atom) {
