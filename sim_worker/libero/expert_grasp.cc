@@ -37,8 +37,12 @@ struct Rim {
   double radius, height;  // [m]
 };
 constexpr Rim kRims[] = {
-    {"akita_black_bowl", 0.049, 0.043}, {"white_bowl", 0.049, 0.043},
-    {"porcelain_mug", 0.040, 0.090},    {"white_yellow_mug", 0.046, 0.085},
+    {"akita_black_bowl", 0.049, 0.043},
+    {"black_bowl", 0.049, 0.043},
+    {"bigger_akita_black_bowl", 0.0735, 0.068},
+    {"white_bowl", 0.037, 0.026},
+    {"porcelain_mug", 0.040, 0.090},
+    {"white_yellow_mug", 0.046, 0.085},
     {"red_coffee_mug", 0.040, 0.110},
 };
 
