@@ -20,7 +20,10 @@ absl::StatusOr<std::vector<std::string>> SuiteInstructions(const UnitConfig& uni
     return instructions;
   }
   RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, LiberoTaskLines(unit));
-  for (const LiberoTaskLine& task : tasks) instructions.push_back(task.instruction);
+  for (const LiberoTaskLine& task : tasks) {
+    RS_RETURN_IF_ERROR(task.read);
+    instructions.push_back(task.instruction);
+  }
   return instructions;
 }
 

@@ -56,7 +56,7 @@ absl::StatusOr<std::vector<LiberoTaskLine>> TasksOf(const CommandLine& line,
   std::vector<LiberoTaskLine> tasks;
   if (const SuiteSpec* spec = FindSuiteSpec(info.name)) {
     for (const TaskSpec& task : spec->tasks)
-      tasks.push_back({TaskName(task.instruction), task.instruction});
+      tasks.push_back({TaskName(task.instruction), task.instruction, absl::OkStatus()});
   } else if (info.needs_libero) {
     absl::StatusOr<std::vector<LiberoTaskLine>> found = LiberoTaskLines(UnitOf(line, info));
     if (found.ok() || !TaskFolderOf(info.name).empty()) return found;
@@ -89,7 +89,9 @@ absl::Status PrintText(const CommandLine& line) {
     RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, TasksOf(line, info));
     for (const LiberoTaskLine& task : tasks) {
       std::string states;
-      if (!TaskFolderOf(info.name).empty()) {
+      if (!task.read.ok()) {
+        states = absl::StrCat(task.name, "  (", task.read.message(), ")");
+      } else if (!TaskFolderOf(info.name).empty()) {
         const absl::StatusOr<int> count = CountInitialStates(UnitOf(line, info), number);
         states = count.ok() ? absl::StrCat("  (", *count, " initial states)")
                             : absl::StrCat("  (", count.status().message(), ")");
@@ -114,6 +116,7 @@ absl::Status PrintJson(const CommandLine& line) {
     if (!folder) suite["num_initial_states"] = info.num_initial_states;
     for (const LiberoTaskLine& task : tasks) {
       nlohmann::json entry = {{"name", task.name}, {"instruction", task.instruction}};
+      if (!task.read.ok()) entry["error"] = task.read.message();
       if (folder) {
         const auto count =
             CountInitialStates(UnitOf(line, info), static_cast<int>(suite["tasks"].size()));
@@ -188,7 +191,10 @@ int Run(CommandLine& line) {
     line.folder_suites.push_back(*std::move(suite));
   }
   if (!line.suite.empty() && FindSuite(line.suite) == nullptr) {
-    std::fprintf(stderr, "suites: suite '%s' is unknown; `robostress suites` lists them\n",
+    std::fprintf(stderr,
+                 "suites: suite '%s' is unknown; `robostress suites` lists those that there are, "
+                 "--libero-tasks DIR opens any folder of LIBERO tasks, such as "
+                 "bddl_files/libero_90\n",
                  line.suite.c_str());
     return 2;
   }

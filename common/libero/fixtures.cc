@@ -2,6 +2,10 @@
 
 #include <unistd.h>
 
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
@@ -37,11 +41,20 @@ absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text) {
   LiberoFixtures fixtures;
   if (ReadWord(text, fixtures)) return fixtures;
   fixtures = {};
-  if (access(text.c_str(), R_OK) != 0) {
+  std::error_code ignored;
+  if (access(text.c_str(), R_OK) != 0 || std::filesystem::is_directory(text, ignored)) {
     return absl::InvalidArgumentError(
         absl::StrCat("libero_fixtures '", text,
                      "' is neither centred, sampled, numpy, numpy:SEED nor numpy-each:SEED (0 to "
                      "4294967295), nor a readable file with a table of poses"));
+  }
+  std::ifstream file(text);
+  if (!nlohmann::json::parse(file, nullptr, /*allow_exceptions=*/false).is_object()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("libero_fixtures ", text,
+                     ": no JSON object; a table is {\"TASK\": {\"INITIAL_STATE\": {\"FIXTURE\": "
+                     "{\"pos\": [x, y, "
+                     "z], \"quat\": [w, x, y, z]}}}}"));
   }
   fixtures.source = LiberoFixtures::Source::kTable;
   fixtures.table = text;

@@ -420,9 +420,11 @@ absl::StatusOr<InitStates> ReadInitStates(const std::string& file) {
 absl::Status CheckEpisodeRows(const InitStates& states, int first, int episodes) {
   const int64_t end = int64_t{first} + episodes;
   if (end <= states.rows) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "episodes start from states ", first, " to ", end - 1, " of ", states.rows,
-      " initial states in ", states.file, "; give fewer --episodes or leave the task out"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("episodes start from states ", first, " to ", end - 1, ", and ", states.file,
+                   " has states 0 to ", states.rows - 1, "; ",
+                   first < states.rows ? "give fewer episodes, " : "",
+                   "begin with an earlier one or leave the task out"));
 }
 
 absl::Status CheckInitStates(const InitStates& states, int nq, int nv) {

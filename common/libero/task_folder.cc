@@ -41,10 +41,14 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
     if (file.extension() != ".bddl" || file.filename().string().starts_with('.') ||
         fs::is_directory(file, ignored))
       continue;
-    if (!fs::is_regular_file(file, ignored)) {
-      return absl::NotFoundError(absl::StrCat(
-          file.string(),
-          ": a link to a file that is not there; mend or remove it, tasks are counted by place"));
+    std::error_code why;
+    if (!fs::is_regular_file(file, why)) {
+      return absl::NotFoundError(absl::StrCat(file.string(), ": ",
+                                              why == std::errc::no_such_file_or_directory
+                                                  ? "a link to a file that is not there"
+                                              : why ? why.message()
+                                                    : "no regular file",
+                                              "; mend or remove it, tasks are counted by place"));
     }
     read.tasks.push_back(file.stem().string());
     RS_RETURN_IF_ERROR(CheckName(read.tasks.back(), folder));
@@ -72,14 +76,23 @@ std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& t
     if (path.parent_path().filename() == "bddl_files")
       places.push_back(path.parent_path().parent_path() / "init_files" / path.filename());
   }
-  std::error_code ignored;
+  std::error_code why;
   for (const fs::path& place : places) {
     for (const char* ending : {".pruned_init", ".pruned_init.npz", ".init", ".init.npz"}) {
       const fs::path file = place / absl::StrCat(task, ending);
-      if (fs::is_regular_file(file, ignored)) return file.string();
+      const fs::file_status status = fs::symlink_status(file, why);
+      // One that cannot be read is not passed over for other states: reading it says why.
+      if (fs::exists(status) || why == std::errc::permission_denied) return file.string();
     }
   }
   return "";
+}
+
+std::string NoInitialStates(const LiberoTaskFolder& folder, const std::string& task) {
+  const bool as_libero = fs::path(folder.path).parent_path().filename() == "bddl_files";
+  return absl::StrCat("no initial states: neither ", task,
+                      ".pruned_init nor .init, with or without .npz, lies beside it",
+                      as_libero ? absl::StrCat(" or in init_files/", folder.suite) : "");
 }
 
 absl::StatusOr<std::string> LiberoTasksSha256(const std::string& folder) {

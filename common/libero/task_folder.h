@@ -23,9 +23,12 @@ absl::StatusOr<LiberoTaskFolder> ReadLiberoTaskFolder(const std::string& folder)
 
 // Where the stored initial states of a task may be, the first that is there counts: beside its BDDL
 // file, else, as LIBERO has it, in init_files/SUITE beside bddl_files/SUITE, also of the folder
-// that a link leads to; as .pruned_init or .init, with or without .npz (LIBERO-PRO's package).
-// Empty: nowhere.
+// that a link leads to; as .pruned_init or .init, with or without .npz (LIBERO-PRO's package). It
+// may be one that cannot be read. Empty: nowhere.
 std::string InitialStatesOf(const LiberoTaskFolder& folder, const std::string& task);
+
+// What is said where it is empty.
+std::string NoInitialStates(const LiberoTaskFolder& folder, const std::string& task);
 
 // SHA-256, hex, of its tasks and their initial states: what two runs in it have to have in common.
 absl::StatusOr<std::string> LiberoTasksSha256(const std::string& folder);

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <map>
+#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "common/embedded_policies.h"
@@ -73,6 +74,17 @@ void AnnouncePlan(const std::string& command, const std::vector<PlannedUnit>& un
                  "takes a quarter to two fifths of the time\n",
                  kLiberoPolicy);
   }
+  std::set<std::string> strange;
+  for (const PlannedUnit& unit : units) {
+    const UnitConfig& config = unit.config;
+    if (!IsSuitePolicy(config.policy)) continue;
+    const bool libero = FindSuite(config.suite)->needs_libero;
+    if (libero == (config.policy == kLiberoPolicy)) continue;
+    strange.insert(absl::StrCat(config.policy, " has not learned the words and scenes of ",
+                                libero ? "LIBERO's tasks" : "the embedded suites",
+                                ": expect no success; ", libero ? kLiberoPolicy : "nano", " has"));
+  }
+  for (const std::string& line : strange) std::fprintf(stderr, "%s\n", line.c_str());
 }
 
 absl::StatusOr<MergedSweep> RunAndMerge(const std::string& command, const SweepGrid& grid,

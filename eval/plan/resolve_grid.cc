@@ -204,7 +204,10 @@ void CheckStepLimits(const SweepGrid& grid, Complaints& complaints) {
     complaints.Add(absl::StrCat(
         "protocol ", protocol->name, " has no step limit for suite ", suite, "; it has ",
         absl::StrJoin(protocol->step_limits, ", ",
-                      [](std::string* text, const auto& limit) { text->append(limit.first); })));
+                      [](std::string* text, const auto& limit) { text->append(limit.first); }),
+        TaskFolderOf(suite).empty()
+            ? ""
+            : "; a folder, or a link to it, whose name begins with one of them and _ has its"));
   }
 }
 
@@ -235,7 +238,8 @@ void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
       const std::string file = InitialStatesOf(*folder, folder->tasks[task]);
       const absl::Status states =
           file.empty()
-              ? absl::NotFoundError("it has no initial states beside it; leave it out with --tasks")
+              ? absl::NotFoundError(absl::StrCat(NoInitialStates(*folder, folder->tasks[task]),
+                                                 "; leave it out with --tasks"))
               : CheckStates(grid, file);
       if (!states.ok())
         faults.push_back(absl::StrCat("task ", task, " of ", path, ", ", folder->tasks[task], ": ",
@@ -272,8 +276,10 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
           " does not exist; it has tasks 0 to ", suite->num_tasks - 1));
     }
     if (grid.first_initial_state < 0 || grid.first_initial_state >= suite->num_initial_states) {
-      complaints.Add(absl::StrCat("first initial state ", grid.first_initial_state, " of ", name,
-                                  " does not exist; it has 0 to ", suite->num_initial_states - 1));
+      complaints.Add(absl::StrCat(
+          "first initial state ", grid.first_initial_state, " of ", name, " does not exist; ",
+          TaskFolderOf(name).empty() ? absl::StrCat("it has 0 to ", suite->num_initial_states - 1)
+                                     : "they are counted from 0"));
     }
     if (suite->needs_libero && (grid.libero_root.empty() || grid.robosuite_root.empty())) {
       complaints.Add(absl::StrCat(
@@ -387,6 +393,11 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
     complaints.Add(std::string(status.message()));
   const std::vector<std::string> suites = SuitesOf(robot.name);
   complaints.CheckNames("suite", grid.suites, suites);
+  for (const std::string& suite : grid.suites) {
+    if (FindSuite(suite) == nullptr && absl::StrContains(suite, "libero"))
+      complaints.Add(absl::StrCat("suite ", suite,
+                                  ": any folder of LIBERO tasks is a suite by --libero-tasks DIR"));
+  }
   CheckScenarios(grid, robot, complaints);
   complaints.CheckNames("method", grid.methods, robot.methods);
   CheckPolicies(grid, robot, home, complaints);

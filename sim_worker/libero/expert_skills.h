@@ -60,8 +60,8 @@ std::unique_ptr<ExpertSkill> MakeTurnKnob(const mjModel& model, int joint, bool 
 // Pushes a flat object over the table, from behind.
 std::unique_ptr<ExpertSkill> MakePush(const LiberoObject& object,
                                       std::function<Eigen::Vector3d(const ExpertView&)> place);
-// Pulls a door on a vertical hinge open by its upright bar; pushes it shut. Null where it has no bar
-// or no leaf.
+// Pulls a door on a vertical hinge open by its upright bar; pushes it shut. Null where it has no
+// bar or no leaf.
 std::unique_ptr<ExpertSkill> MakePullDoor(const mjModel& model, int joint);
 std::unique_ptr<ExpertSkill> MakeShutDoor(const mjModel& model, int joint);
 

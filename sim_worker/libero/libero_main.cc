@@ -247,24 +247,31 @@ absl::StatusOr<std::string> TryTask(const UnitConfig& unit, int task) {
 }
 
 // Whether every task of the folders loads and resets.
-absl::StatusOr<bool> TryFolders(const std::vector<std::string>& folders, UnitConfig unit) {
+bool TryFolders(const std::vector<std::string>& folders, UnitConfig unit) {
   int loaded = 0, tried = 0;
+  bool all_opened = true;
   for (const std::string& path : folders) {
-    RS_ASSIGN_OR_RETURN(const LiberoTaskFolder folder, ReadLiberoTaskFolder(path));
-    RS_ASSIGN_OR_RETURN(unit.suite, AddTaskFolder(path));
+    const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
+    const absl::StatusOr<std::string> suite = folder.ok() ? AddTaskFolder(path) : folder.status();
+    if (!suite.ok()) {
+      all_opened = false;
+      std::printf("%s\n", std::string(suite.status().message()).c_str());
+      continue;
+    }
+    unit.suite = *suite;
     unit.libero_tasks = path;
     unit.episodes = 1;
-    std::printf("%s\n", folder.suite.c_str());
-    for (size_t task = 0; task < folder.tasks.size(); ++task, ++tried) {
+    std::printf("%s\n", suite->c_str());
+    for (size_t task = 0; task < folder->tasks.size(); ++task, ++tried) {
       const absl::StatusOr<std::string> found = TryTask(unit, static_cast<int>(task));
       if (found.ok()) ++loaded;
-      std::printf("  %3zu  %s  %s\n", task, folder.tasks[task].c_str(),
+      std::printf("  %3zu  %s  %s\n", task, folder->tasks[task].c_str(),
                   found.ok() ? found->c_str() : std::string(found.status().message()).c_str());
       std::fflush(stdout);
     }
   }
   std::printf("%d of %d tasks load and reset\n", loaded, tried);
-  return loaded == tried;
+  return all_opened && loaded == tried;
 }
 
 int Main(int argc, char** argv) {
@@ -318,10 +325,7 @@ int Main(int argc, char** argv) {
                     "robosuite checkout (or ROBOSUITE_ROOT, or setup)");
   return RunMain(app, argc, argv, [&]() -> absl::StatusOr<int> {
     if (setup->parsed()) return Setup(line);
-    if (tasks->parsed()) {
-      RS_ASSIGN_OR_RETURN(const bool all, TryFolders(folders, unit));
-      return all ? 0 : 1;
-    }
+    if (tasks->parsed()) return TryFolders(folders, unit) ? 0 : 1;
     RS_RETURN_IF_ERROR(PrintFiles(libero_root, robosuite_root));
     return 0;
   });

@@ -85,15 +85,26 @@ Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
 absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit,
                                                                      int task) {
   LeaveOutImpossibleBoxContacts();
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<LiberoSimTask> result, Read(unit, task, /*pictures=*/true));
+  AnnounceMissingVisuals(*result->scene_);
+  for (const std::string& doubt : DoubtsOf(result->scene_->problem)) spdlog::warn("{}", doubt);
+  RS_RETURN_IF_ERROR(result->MakeSimulator());
+  return result;
+}
+
+absl::Status LiberoSimTask::Check(const UnitConfig& unit, int task) {
+  return Read(unit, task, /*pictures=*/false).status();
+}
+
+// All but the simulator.
+absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Read(const UnitConfig& unit, int task,
+                                                                   bool pictures) {
   RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(unit.scenario, unit.severity));
   RS_ASSIGN_OR_RETURN(const LiberoPaths paths, FindLibero(unit.libero_root, unit.robosuite_root));
   RS_ASSIGN_OR_RETURN(const TaskFiles files, FindTaskFiles(paths, unit, task));
   RS_ASSIGN_OR_RETURN(BddlProblem problem, ReadBddl(files.bddl));
-  absl::StatusOr<LiberoScene> composed = ComposeScene(paths, std::move(problem));
+  absl::StatusOr<LiberoScene> composed = ComposeScene(paths, std::move(problem), pictures);
   if (!composed.ok()) return WithRemedy(paths, composed.status());
-  LiberoScene& scene = *composed;
-  AnnounceMissingVisuals(scene);
-  for (const std::string& doubt : DoubtsOf(scene.problem)) spdlog::warn("{}", doubt);
 
   std::unique_ptr<LiberoSimTask> result(new LiberoSimTask());
   result->unit_ = unit;
@@ -101,7 +112,7 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   result->instruction_ = files.instruction;
   result->horizon_ = HorizonOf(unit);
   result->scenario_ = scenario;
-  result->scene_ = std::make_unique<LiberoScene>(std::move(scene));
+  result->scene_ = std::make_unique<LiberoScene>(*std::move(composed));
   RS_ASSIGN_OR_RETURN(LiberoGoal goal, LiberoGoal::Create(*result->scene_));
   result->goal_ = std::make_unique<LiberoGoal>(std::move(goal));
   absl::StatusOr<InitStates> states = ReadInitStates(files.initial_states);
@@ -119,7 +130,6 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
     RS_RETURN_IF_ERROR(poses.CheckListed(unit.first_initial_state, unit.episodes));
     result->fixture_poses_ = std::make_unique<FixturePoses>(std::move(poses));
   }
-  RS_RETURN_IF_ERROR(result->MakeSimulator());
   return result;
 }
 

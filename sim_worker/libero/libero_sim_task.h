@@ -18,6 +18,8 @@ namespace robostress::libero {
 class LiberoSimTask : public SimTask {
  public:
   static absl::StatusOr<std::unique_ptr<LiberoSimTask>> Create(const UnitConfig& unit, int task);
+  // What Create would say, sooner.
+  static absl::Status Check(const UnitConfig& unit, int task);
 
   // Row `initial_state` of the task's .pruned_init, fixtures as unit.libero_fixtures has them for
   // it, then the settle steps with the originals' dummy command. From kFirstTrainingDraw on,
@@ -60,6 +62,8 @@ class LiberoSimTask : public SimTask {
 
  private:
   LiberoSimTask() = default;
+  static absl::StatusOr<std::unique_ptr<LiberoSimTask>> Read(const UnitConfig& unit, int task,
+                                                             bool pictures);
   absl::Status MakeSimulator();
   absl::Status ResetDrawn(uint32_t seed);
   absl::StatusOr<Image> RenderUpright(const std::string& camera, const RenderOptions& options);

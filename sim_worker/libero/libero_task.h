@@ -20,16 +20,18 @@ absl::StatusOr<std::unique_ptr<SimTask>> MakeLiberoTask(const UnitConfig& unit, 
 absl::Status CheckLiberoFound(const UnitConfig& unit);
 
 // Whether the files of all of unit.tasks can be read, place every fixture and hold the initial
-// states that the unit starts from: what can be said before anything is played.
+// states that the unit starts from; in a folder of tasks, or with a table of fixtures, also whether
+// each but the first, which is made next, composes: what can be said before anything is played.
 absl::Status CheckLiberoTasks(const UnitConfig& unit);
 
 // How many initial states are stored for a task.
 absl::StatusOr<int> CountInitialStates(const UnitConfig& unit, int task);
 
 // The tasks of unit.suite in order: names of files and instructions. LIBERO's own suites need no
-// file for it; a BDDL file of a folder that cannot be read is an error.
+// file for it; a folder's task whose BDDL file cannot be read has the reason and no instruction.
 struct LiberoTaskLine {
   std::string name, instruction;
+  absl::Status read;
 };
 absl::StatusOr<std::vector<LiberoTaskLine>> LiberoTaskLines(const UnitConfig& unit);
 

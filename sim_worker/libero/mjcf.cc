@@ -269,14 +269,22 @@ std::string BoxInPlaceOf(const std::string& file) {
 
 }  // namespace
 
-absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model) {
+absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model, bool pictures) {
   std::map<std::string, std::string> missing_meshes;  // name -> file
+  std::set<std::string> colliding_meshes;
+  VisitElements(model.Section("worldbody"), [&](XMLElement* element) {
+    if (std::strcmp(element->Name(), "geom") == 0 && Collides(element))
+      colliding_meshes.insert(Attribute(element, "mesh"));
+  });
   std::vector<std::string> files;
   std::error_code ignored;
   XMLElement* asset = model.Section("asset");
   for (XMLElement* item = asset->FirstChildElement(); item; item = item->NextSiblingElement()) {
     const std::string file = Attribute(item, "file");
-    if (file.empty() || std::filesystem::exists(file, ignored)) continue;
+    const bool drawn = std::strcmp(item->Name(), "texture") == 0 ||
+                       (std::strcmp(item->Name(), "mesh") == 0 &&
+                        colliding_meshes.count(Attribute(item, "name")) == 0);
+    if (file.empty() || ((pictures || !drawn) && std::filesystem::exists(file, ignored))) continue;
     files.push_back(file);
     item->DeleteAttribute("file");
     if (std::strcmp(item->Name(), "mesh") == 0) {
@@ -297,17 +305,10 @@ absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model) 
           absl::StrCat(file, ": missing, and a <", item->Name(), "> cannot be replaced"));
     }
   }
-  std::string colliding;
-  VisitElements(model.Section("worldbody"), [&](XMLElement* element) {
-    if (std::strcmp(element->Name(), "geom") == 0 &&
-        missing_meshes.count(Attribute(element, "mesh")) > 0 && Collides(element) &&
-        colliding.empty()) {
-      colliding = Attribute(element, "mesh");
-    }
-  });
-  if (!colliding.empty()) {
+  for (const auto& [mesh, file] : missing_meshes) {
+    if (colliding_meshes.count(mesh) == 0) continue;
     return absl::NotFoundError(
-        absl::StrCat("collision mesh '", colliding, "' is missing: ", missing_meshes[colliding],
+        absl::StrCat("collision mesh '", mesh, "' is missing: ", file,
                      "; physics cannot go on without it, complete the checkout"));
   }
   return files;

@@ -75,8 +75,8 @@ std::string FormatNumbers(const std::vector<double>& numbers);
 
 // Replaces mesh and texture files that do not exist: a texture by a flat one of the same type, a
 // mesh by a box with its bounding sphere (visual_bounds.h) or, where that is not known, of 2 cm.
-// Returns the files. A missing mesh that a colliding geom uses is an error, because it would change
-// the physics.
-absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model);
+// Returns the files. pictures = false: all that only pictures need, there or not. A missing mesh
+// that a colliding geom uses is an error, because it would change the physics.
+absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model, bool pictures);
 
 }  // namespace robostress::libero

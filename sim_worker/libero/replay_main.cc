@@ -2,6 +2,7 @@
 // two such files.
 
 #include <cstdio>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -34,9 +35,11 @@ Examples
 Exit code: 0 done; 1 a difference is larger than --tolerance, or writing failed; 2 bad input.
 )";
 
+constexpr int kNoTask = std::numeric_limits<int>::min();
+
 struct CommandLine {
   UnitConfig unit;
-  int task = -1, settle_steps = 10;
+  int task = kNoTask, settle_steps = 10;
   std::string in, out, mode = "parity";
   std::vector<std::string> overrides, compare, keys;
   double tolerance = -1;
@@ -178,7 +181,11 @@ int Main(int argc, char** argv) {
           return within ? 0 : 1;
         }
         const bool suite = !line.unit.suite.empty() || !line.unit.libero_tasks.empty();
-        if (!suite || line.task < 0 || line.in.empty() || line.out.empty()) {
+        if (line.task < 0 && line.task != kNoTask) {
+          return absl::InvalidArgumentError(
+              absl::StrCat("--task ", line.task, " does not exist; tasks are counted from 0"));
+        }
+        if (!suite || line.task == kNoTask || line.in.empty() || line.out.empty()) {
           return absl::InvalidArgumentError(
               "give --suite or --libero-tasks, --task, --in and --out, or --compare A B; --help "
               "has examples");

@@ -177,7 +177,8 @@ std::shared_ptr<mjModel> CopyWithoutTextures(const mjModel& model) {
   return CopyModel(bare);
 }
 
-absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem problem) {
+absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem problem,
+                                         bool pictures) {
   LiberoScene scene;
   scene.problem = std::move(problem);
   const BddlProblem& bddl = scene.problem;
@@ -211,7 +212,7 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
   VisitElements(model.Section("asset"), [&](XMLElement* element) {
     if (const char* file = element->Attribute("file")) scene.files.insert(file);
   });
-  RS_ASSIGN_OR_RETURN(scene.missing_visuals, ReplaceMissingVisuals(model));
+  RS_ASSIGN_OR_RETURN(scene.missing_visuals, ReplaceMissingVisuals(model, pictures));
   std::set<std::string> replaced_meshes;
   XMLElement* asset = model.Section("asset");
   for (XMLElement* mesh = asset->FirstChildElement("mesh"); mesh;

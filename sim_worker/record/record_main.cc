@@ -27,6 +27,7 @@
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/unit_directory.h"
+#include "sim_worker/libero/libero_task.h"
 #include "sim_worker/record/episode_file.h"
 #include "sim_worker/record/expert_demonstration.h"
 #include "sim_worker/record/interruption.h"
@@ -85,6 +86,33 @@ double CpuSeconds() {
   return seconds(usage.ru_utime) + seconds(usage.ru_stime);
 }
 
+UnitConfig UnitOf(const CommandLine& line, const Job& job) {
+  UnitConfig unit;
+  unit.suite = job.suite;
+  unit.scenario = line.scenario;
+  unit.severity = line.severity;
+  unit.libero_root = line.libero_root;
+  unit.robosuite_root = line.robosuite_root;
+  unit.libero_tasks = TaskFolderOf(job.suite);
+  unit.episodes = 1;
+  if (line.plain) unit.sim.pictures = SimOptions::kPlainPictures;
+  return unit;
+}
+
+// With --eval that there are as many initial states as are played; training draws have no end.
+absl::Status CheckStoredStates(const CommandLine& line, const Job& job) {
+  if (!line.eval || line.first_draw >= kFirstTrainingDraw) return absl::OkStatus();
+  int states = FindSuite(job.suite)->num_initial_states;
+  if (FindSuite(job.suite)->needs_libero) {
+    RS_ASSIGN_OR_RETURN(states, CountInitialStates(UnitOf(line, job), job.task));
+  }
+  if (line.first_draw >= 0 && line.first_draw + line.episodes <= states) return absl::OkStatus();
+  return absl::OutOfRangeError(absl::StrCat("--first-draw ", line.first_draw, " --episodes ",
+                                            line.episodes, ": ", job.suite, " task ", job.task,
+                                            " has initial states 0 to ", states - 1,
+                                            ", training draws begin at ", kFirstTrainingDraw));
+}
+
 absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   std::vector<Job> jobs;
   std::vector<std::string> suites = line.folder_suites;
@@ -113,9 +141,12 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
         jobs.push_back({info.name, task});
     }
   }
+  for (const Job& job : jobs) RS_RETURN_IF_ERROR(CheckStoredStates(line, job));
   if (jobs.empty()) {
-    return absl::NotFoundError(absl::StrCat(
-        "no suite '", asked, "'; all, libero, or one of what `robostress suites` lists"));
+    return absl::NotFoundError(
+        absl::StrCat("no suite '", asked,
+                     "'; all, libero, one of what `robostress suites` lists, or another's "
+                     "folder of LIBERO tasks by --libero-tasks DIR"));
   }
   if (!line.eval && line.first_draw < kFirstTrainingDraw) {
     return absl::InvalidArgumentError(absl::StrCat("--first-draw ", line.first_draw,
@@ -196,15 +227,7 @@ class Unfinished {
 
 // Success, steps and speed of one task; the frames go to a file when recording.
 absl::Status RunJob(const CommandLine& line, const Job& job, Unfinished& unfinished) {
-  UnitConfig unit;
-  unit.suite = job.suite;
-  unit.scenario = line.scenario;
-  unit.severity = line.severity;
-  unit.libero_root = line.libero_root;
-  unit.robosuite_root = line.robosuite_root;
-  unit.libero_tasks = TaskFolderOf(job.suite);
-  unit.episodes = 1;
-  if (line.plain) unit.sim.pictures = SimOptions::kPlainPictures;
+  const UnitConfig unit = UnitOf(line, job);
   std::unique_ptr<GrpcPolicyClient> policy;
   if (!line.server.empty()) {
     RequestedSession session;
@@ -433,6 +456,10 @@ int main(int argc, char** argv) {
       [&]() -> absl::StatusOr<int> {
         for (const std::string& folder : line.libero_tasks) {
           RS_ASSIGN_OR_RETURN(std::string suite, robostress::AddTaskFolder(folder));
+          if (line.folder_hashes.contains(suite)) {
+            return absl::InvalidArgumentError(
+                absl::StrCat("--libero-tasks ", folder, " is given twice; remove one"));
+          }
           RS_ASSIGN_OR_RETURN(line.folder_hashes[suite], robostress::LiberoTasksSha256(folder));
           line.folder_suites.push_back(std::move(suite));
         }

@@ -104,8 +104,10 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
   if (!made.ok()) return made.status();
   const std::shared_ptr<SimTask> sim_task = *std::move(made);
-  const absl::StatusOr<std::vector<std::string>> instructions = SuiteInstructions(unit);
-  if (!instructions.ok()) return instructions.status();
+  std::vector<std::string> instructions;  // of other tasks: only this control reads their files
+  if (unit.method->observation == ObservationInput::kShuffledInstruction) {
+    RS_ASSIGN_OR_RETURN(instructions, SuiteInstructions(unit));
+  }
   std::shared_ptr<Robot> robot = sim_task;
   if (unit.sim.sensing.used()) {
     absl::StatusOr<std::unique_ptr<ArmSensing>> sensing =
@@ -115,7 +117,7 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   }
   UnitTask out;
   RS_ASSIGN_OR_RETURN(out.inversion, MakeInversion(unit, *sim_task));
-  out.robot = ControlObservations(robot, unit.method->observation, *instructions, task);
+  out.robot = ControlObservations(robot, unit.method->observation, std::move(instructions), task);
   out.make_expert = [sim_task] { return MakeExpertPolicy(*sim_task); };
   out.listen_to_joints = [sim_task](std::function<void(const JointSample&)> call) {
     sim_task->sim().OnJointSample(std::move(call));

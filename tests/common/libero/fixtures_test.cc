@@ -34,6 +34,18 @@ TEST(LiberoFixturesTest, AnythingElseIsAReadableFile) {
   EXPECT_EQ(fixtures->table, file);
 }
 
+TEST(LiberoFixturesTest, ATableIsAJsonObject) {
+  const std::string file = ::testing::TempDir() + "/no_fixtures.json";
+  for (const char* text : {"", "[]", "{\"a\": ", "3"}) {
+    ASSERT_TRUE(WriteFileAtomically(file, text).ok());
+    EXPECT_THAT(std::string(ParseLiberoFixtures(file).status().message()),
+                HasSubstr(file + ": no JSON object; a table is {"))
+        << text;
+  }
+  EXPECT_THAT(std::string(ParseLiberoFixtures(::testing::TempDir()).status().message()),
+              HasSubstr("nor a readable file"));
+}
+
 TEST(LiberoFixturesTest, ATableIsWhatIsNoneOfTheWordsHoweverItIsCalled) {
   for (const char* word : {"centred", "sampled", "numpy", "numpy:3", "numpy-each:1000", ""})
     EXPECT_FALSE(NamesFixtureTable(word)) << word;

@@ -37,9 +37,9 @@ TEST(InitStatesTest, ReadsAMatrixBitForBit) {
   EXPECT_EQ(states->row(1)[0], 1e-300);
   EXPECT_TRUE(CheckEpisodeRows(*states, 1, 1).ok());
   EXPECT_THAT(std::string(CheckEpisodeRows(*states, 1, 2).message()),
-              HasSubstr("states 1 to 2 of 2 initial states in a; give fewer --episodes"));
+              HasSubstr("from states 1 to 2, and a has states 0 to 1; give fewer episodes, begin"));
   EXPECT_THAT(std::string(CheckEpisodeRows(*states, 2147483647, 2).message()),
-              HasSubstr("states 2147483647 to 2147483648 of 2"));
+              HasSubstr("states 2147483647 to 2147483648, and a has states 0 to 1; begin with an"));
 }
 
 TEST(InitStatesTest, ReadsAnNpzStoredOrDeflated) {

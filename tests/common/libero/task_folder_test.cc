@@ -56,6 +56,10 @@ TEST(TaskFolder, ATaskThatIsNoFileIsRefusedForItMovesTheOthers) {
   fs::create_symlink("gone", folder + "/b.bddl");
   EXPECT_THAT(std::string(ReadLiberoTaskFolder(folder).status().message()),
               HasSubstr("/b.bddl: a link to a file that is not there"));
+  fs::remove(folder + "/b.bddl");
+  fs::create_symlink("b.bddl", folder + "/b.bddl");
+  EXPECT_THAT(std::string(ReadLiberoTaskFolder(folder).status().message()),
+              HasSubstr("/b.bddl: Too many levels of symbolic links; mend or remove it"));
 }
 
 TEST(TaskFolder, NamesThatNoTableCanShowAreRefused) {
@@ -124,6 +128,10 @@ TEST(TaskFolder, InitialStatesLieBesideTheTaskOrWhereLiberoHasThem) {
   EXPECT_EQ(InitialStatesOf(read(plain), "a"), plain + "/a.pruned_init");
   EXPECT_EQ(InitialStatesOf(read(plain), "b"), plain + "/b.init.npz");
   EXPECT_EQ(InitialStatesOf(read(plain), "c"), "");
+  // One that cannot be read is not passed over for states that are others.
+  fs::remove(plain + "/a.pruned_init");
+  fs::create_symlink("gone", plain + "/a.pruned_init");
+  EXPECT_EQ(InitialStatesOf(read(plain), "a"), plain + "/a.pruned_init");
   const std::string tree = Folder("tree/bddl_files/pro", {"a.bddl"});
   const std::string states = Folder("tree/init_files/pro", {"a.pruned_init.npz"});
   EXPECT_EQ(InitialStatesOf(read(tree), "a"), states + "/a.pruned_init.npz");

@@ -59,6 +59,26 @@ TEST(AnnouncePlan, TellsOfThePicturesThatThePolicyOfLiberosSuitesLearnedFrom) {
   EXPECT_THAT(said({}, "tabletop_goal"), Not(HasSubstr(hint)));
 }
 
+TEST(AnnouncePlan, TellsOfScenesThatAPolicyHasNotLearned) {
+  const auto said = [](const std::string& policy, const std::string& suite) {
+    SweepGrid grid;
+    grid.libero_root = grid.robosuite_root = "somewhere";
+    grid.suites = {suite};
+    grid.policies = {policy};
+    testing::internal::CaptureStderr();
+    AnnouncePlan("sweep", Units(grid), LaunchOptions());
+    return testing::internal::GetCapturedStderr();
+  };
+  EXPECT_THAT(said("nano", "libero_goal"),
+              HasSubstr("nano has not learned the words and scenes of LIBERO's tasks"));
+  EXPECT_THAT(said("nano-libero", "tabletop_goal"),
+              HasSubstr("nano-libero has not learned the words and scenes of the embedded suites"));
+  for (const auto& [policy, suite] :
+       {std::pair("nano-libero", "libero_goal"), std::pair("nano", "tabletop_goal"),
+        std::pair("expert", "libero_goal")})
+    EXPECT_THAT(said(policy, suite), Not(HasSubstr("not learned"))) << policy;
+}
+
 TEST(UnitText, IsWhatDumpConfigWrites) {
   UnitTexts texts;
   for (const PlannedUnit& unit : Units(ManyKinds()))

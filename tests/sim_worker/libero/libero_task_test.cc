@@ -123,7 +123,7 @@ TEST(LiberoTaskFolder, WhatIsWrongWithALaterTaskIsSaidBeforeTheFirstIsPlayed) {
   EXPECT_EQ(CheckLiberoTasks(unit).message(), "");
   unit.episodes = 11;
   EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()),
-              HasSubstr("episodes start from states 40 to 50 of 50 initial states in "));
+              HasSubstr("episodes start from states 40 to 50, and "));
   unit.episodes = 1;
   ASSERT_TRUE(WriteFileAtomically(
                   (folder / "b.bddl").string(),
@@ -132,6 +132,32 @@ TEST(LiberoTaskFolder, WhatIsWrongWithALaterTaskIsSaidBeforeTheFirstIsPlayed) {
   EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()),
               HasSubstr("fixture 'flat_stove_1' is placed by no"));
   EXPECT_THAT(ErrorOf(unit, 1), HasSubstr("fixture 'flat_stove_1' is placed by no"));
+  EXPECT_TRUE(LiberoTaskLines(unit)->at(1).read.ok())
+      << "a misplaced fixture has words all the same";
+  for (const auto& [from, to, error] :
+       {std::tuple(" - plate\n", " - no_such_dish\n", "category 'no_such_dish'"),
+        std::tuple("(And (On", "(And (Under", "'under' is unknown"),
+        std::tuple("(:language", "((:language", "')' is missing")}) {
+    const std::string other = absl::StrReplaceAll(text, {{from, to}});
+    ASSERT_NE(other, text);
+    ASSERT_TRUE(WriteFileAtomically((folder / "b.bddl").string(), other).ok());
+    EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()), HasSubstr(error));
+  }
+  // Whoever plays the other task does not care.
+  EXPECT_THAT(std::string(LiberoTaskLines(unit)->at(1).read.message()), HasSubstr("is missing"));
+  EXPECT_EQ(LiberoTaskLines(unit)->at(0).instruction, "put the bowl on the plate");
+  unit.tasks = {0};
+  EXPECT_EQ(CheckLiberoTasks(unit).message(), "");
+  EXPECT_EQ(ErrorOf(unit, 0), "made");
+  unit.tasks = {0, 1};
+  ASSERT_TRUE(WriteFileAtomically((folder / "b.bddl").string(), text).ok());
+  fs::copy_file(
+      root + "init_files/libero_10/" + (*LiberoTaskNames("libero_10"))[0] + ".pruned_init",
+      folder / "b.pruned_init", fs::copy_options::overwrite_existing);
+  EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()), HasSubstr("do not belong together"));
+  fs::remove(folder / "b.pruned_init");
+  fs::create_symlink("b.pruned_init", folder / "b.pruned_init");
+  EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()), HasSubstr("b.pruned_init'"));
   fs::remove(folder / "b.pruned_init");
   EXPECT_THAT(std::string(CheckLiberoTasks(unit).message()),
               HasSubstr("b.bddl: no initial states"));

@@ -302,6 +302,30 @@ TEST_F(LiberoSetup, ASheetShowsTheTasksThatCanBeDrawn) {
   EXPECT_THAT(refused, AllOf(HasSubstr("suites: --sheet "), Not(HasSubstr("drawing task"))));
 }
 
+TEST_F(LiberoSetup, OneBrokenTaskOrFolderLeavesTheOthers) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const fs::path libero = fs::path(LiberoTree()) / "libero/libero", tasks = folder_ / "some";
+  fs::create_directories(tasks);
+  fs::copy(libero / "init_files/libero_goal/put_the_bowl_on_the_plate.pruned_init", tasks);
+  fs::copy(libero / "bddl_files/libero_goal/put_the_bowl_on_the_plate.bddl", tasks);
+  Write("some/broken.bddl", "(define (problem");
+  const std::string roots =
+      absl::StrCat(" --libero-root ", LiberoTree(), " --robosuite-root ", RobosuiteTree(), " ");
+  const auto [listed, fine] =
+      RunProgram(BIN_DIR "/robostress-suites", roots + "--libero-tasks " + tasks.string());
+  EXPECT_EQ(fine, 0) << listed;
+  EXPECT_THAT(listed, AllOf(HasSubstr("  0  broken  ("), HasSubstr("end of file inside a list"),
+                            HasSubstr("  1  put the bowl on the plate  (50 initial states)")));
+  const auto [tried, code] =
+      RunProgram(BIN_DIR "/robostress-libero",
+                 absl::StrCat("tasks", roots, (libero / "bddl_files/libero_goal").string(), " ",
+                              tasks.string()));
+  EXPECT_EQ(code, 1) << tried;
+  EXPECT_THAT(tried, AllOf(HasSubstr("would be suite 'libero_goal', which is the name of"),
+                           HasSubstr("put_the_bowl_on_the_plate  50 states"),
+                           HasSubstr("1 of 2 tasks load and reset")));
+}
+
 TEST_F(LiberoSetup, TheListOfSuitesSaysWhatIsNeeded) {
   const std::string listed = "--suite libero_goal";
   EXPECT_THAT(RunProgram(BIN_DIR "/robostress-suites", listed).first,

@@ -60,6 +60,14 @@ TEST_F(RecordProgram, GoesOnWhereItWas) {
   }
 }
 
+TEST_F(RecordProgram, RefusesStatesThatAreNotThereBeforeItPlays) {
+  const auto [output, code] = Record("--eval --tasks 0 --first-draw 998 --episodes 3");
+  EXPECT_EQ(code, 2) << output;
+  EXPECT_THAT(output,
+              HasSubstr("--first-draw 998 --episodes 3: tabletop_goal task 0 has initial "));
+  EXPECT_THAT(output, Not(HasSubstr("success")));
+}
+
 // Of the signals that a user or a scheduler sends, to one process and to one of workers.
 TEST_F(RecordProgram, LeavesNothingHalfDoneWhereItIsInterrupted) {
   for (const std::string signal : {"INT", "TERM"}) {
