@@ -106,7 +106,7 @@ absl::Status CheckStoredStates(const CommandLine& line, const Job& job) {
   if (FindSuite(job.suite)->needs_libero) {
     RS_ASSIGN_OR_RETURN(states, CountInitialStates(UnitOf(line, job), job.task));
   }
-  if (line.first_draw >= 0 && line.first_draw + line.episodes <= states) return absl::OkStatus();
+  if (line.first_draw >= 0 && line.first_draw <= states - line.episodes) return absl::OkStatus();
   return absl::OutOfRangeError(absl::StrCat("--first-draw ", line.first_draw, " --episodes ",
                                             line.episodes, ": ", job.suite, " task ", job.task,
                                             " has initial states 0 to ", states - 1,
@@ -409,7 +409,9 @@ int main(int argc, char** argv) {
   app.add_option("--episodes", line.episodes, "Episodes per task")
       ->check(robostress::cli::Range(1, 100000))
       ->capture_default_str();
-  app.add_option("--first-draw", line.first_draw, "First initial state")->capture_default_str();
+  app.add_option("--first-draw", line.first_draw, "First initial state")
+      ->check(robostress::cli::Range(0, 1000000000))
+      ->capture_default_str();
   app.add_option("--out", line.out, "Folder for the shards, one file per task");
   app.add_option("--tag", line.tag, "Part of the shards' names")->capture_default_str();
   app.add_option("--image-size", line.record.image_size, "Of the views [px]")
