@@ -104,8 +104,7 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
   if (!made.ok()) return made.status();
   const std::shared_ptr<SimTask> sim_task = *std::move(made);
-  std::vector<std::string>
-      instructions;  // of all tasks; reads the files of those that are not played
+  std::vector<std::string> instructions;  // which reads the files of tasks that are not played
   if (unit.method->observation == ObservationInput::kShuffledInstruction) {
     RS_ASSIGN_OR_RETURN(instructions, SuiteInstructions(unit));
   }
