@@ -65,7 +65,7 @@ struct LiberoScene {
 
 // Composes and compiles the scene of a parsed BDDL file in the originals' order: arena, robot with
 // mount and gripper, objects, fixtures (LIBERO 8f1084e on robosuite 1.4.0). pictures = false: what
-// only a renderer reads is replaced as if it were missing, which compiles several times as fast.
+// only a renderer reads is replaced as if it were missing, so that no texture is decoded.
 absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem problem,
                                          bool pictures = true);
 
