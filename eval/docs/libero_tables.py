@@ -111,7 +111,7 @@ def repeated(seven, lengths):
     for method, table in seven.items():
         cells = []
         for scenario, tables in lengths.items():
-            if method in tables:
+            if method in tables and scenario in table:
                 keys = [(t, k) for t, pairs in table[scenario].items() for k in pairs.keys() & tables[method][scenario][t].keys()]
                 other = sum(table[scenario][t][k] != tables[method][scenario][t][k] for t, k in keys)
                 cells.append(f"{scenario} {other} of {len(keys)}")
@@ -275,14 +275,14 @@ def length_table(folder, methods, scenario):
     return tables
 
 
-def length_summary(lengths, family):
-    """Over those of the seven that base and every method of the family have."""
+def length_summary(lengths, family, conditions):
+    """Over those of the conditions that base and every method of the family have."""
     methods = list(dict.fromkeys(["base", *(method for pair in family for method in pair)]))
-    played = [s for s in SEVEN if set(methods) <= set(lengths[s])]
+    played = [s for s in conditions if set(methods) <= set(lengths[s])]
     if not played:
         return
     tables = {m: {s: lengths[s][m][s] for s in played} for m in methods}
-    print(f"\nThe paper's length, mean over {len(played)} of the seven: {', '.join(played)}")
+    print(f"\nThe paper's length, mean over {len(played)} of {len(conditions)}: {', '.join(played)}")
     for method, table in tables.items():
         row(method, [f"{sum(rate(table, s)[0] for s in played) / len(played):.1f}", f"n {len(played) * rate(table, played[0])[1]}"])
     if "base" in lengths["clean"] and played == SEVEN:
@@ -342,9 +342,10 @@ def main():
     updates_table(folder, methods)
     noise_table(folder, methods)
     severity_table(folder, methods)
-    lengths = {scenario: length_table(folder, methods, scenario) for scenario in ["clean", *SEVEN]}
+    lengths = {scenario: length_table(folder, methods, scenario) for scenario in ["clean", *SEVEN, *NOISE]}
     for family in LENGTH:
-        length_summary(lengths, family)
+        length_summary(lengths, family, SEVEN)
+    length_summary(lengths, [PRIMARY], NOISE)
     repeated(seven, lengths)
     processors(folder)
 
