@@ -45,8 +45,12 @@ absl::StatusOr<ChildProcess> ChildProcess::Start(
   argv.push_back(nullptr);
   envp.push_back(nullptr);
 
-  const int log = open(log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
-  if (log < 0) return ErrnoStatus(absl::StrCat("cannot open the log ", log_file));
+  const std::string cannot = absl::StrCat("cannot run ", command[0], ": ");
+  int log = -1;
+  if (!log_file.empty()) {
+    log = open(log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+    if (log < 0) return ErrnoStatus(absl::StrCat("cannot open the log ", log_file));
+  }
   const int null = open("/dev/null", O_RDONLY | O_CLOEXEC);
   const pid_t parent = getpid();
   const pid_t pid = fork();
@@ -54,16 +58,21 @@ absl::StatusOr<ChildProcess> ChildProcess::Start(
     prctl(PR_SET_PDEATHSIG, SIGTERM);
     if (getppid() != parent) _exit(127);  // the parent ended before prctl
     dup2(null, STDIN_FILENO);
-    dup2(log, STDOUT_FILENO);
-    dup2(log, STDERR_FILENO);
+    if (log >= 0) {
+      dup2(log, STDOUT_FILENO);
+      dup2(log, STDERR_FILENO);
+    }
     sigset_t none;
     sigemptyset(&none);
     sigprocmask(SIG_SETMASK, &none, nullptr);
     execve(argv[0], argv.data(), envp.data());
+    for (const char* text : {cannot.c_str(), strerrordesc_np(errno), "\n"}) {
+      if (write(STDERR_FILENO, text, strlen(text)) < 0) break;
+    }
     _exit(127);
   }
   const int fork_errno = errno;
-  close(log);
+  if (log >= 0) close(log);
   if (null >= 0) close(null);
   errno = fork_errno;
   if (pid < 0) return ErrnoStatus(absl::StrCat("cannot start ", command[0]));

@@ -23,8 +23,9 @@ struct ExitState {
 // destructor.
 class ChildProcess {
  public:
-  // Runs `command` (command[0] is a path) with standard output and error appended to `log_file` and
-  // the variables of `environment` added to this process's own.
+  // Runs `command` (command[0] is a path) with standard output and error appended to `log_file`,
+  // those of this process where it is empty, and the variables of `environment` added to this
+  // process's own. A command that cannot be run says so there and ends with 127.
   static absl::StatusOr<ChildProcess> Start(const std::vector<std::string>& command,
                                             const std::map<std::string, std::string>& environment,
                                             const std::string& log_file);

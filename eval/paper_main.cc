@@ -67,7 +67,7 @@ void DeclareFlags(cli::App& app, CommandLine& line) {
                  "Run directory, shared by tables (default: runs/paper-quick or runs/paper-full)");
   app.add_option("--weights", line.weights,
                  "A checkpoint, or the name of a policy that --server holds: LIBERO's suites, the "
-                 "paper's learning rate");
+                 "paper's learning rate (nano-libero: nano's)");
   app.add_option("--dr-weights", line.randomised, "Weights of the DR column");
   app.add_option("--robust-weights", line.robust, "Weights of the RobustVLA column");
   app.add_option("--cloning-weights", line.cloning,

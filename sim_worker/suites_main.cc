@@ -134,6 +134,17 @@ FirstFrame GreyFrame(int size) {
   return {"not drawn", {size, size, std::vector<uint8_t>(3 * size * size, 200)}};
 }
 
+// Of unit.tasks, which is one.
+absl::StatusOr<FirstFrame> DrawTask(const UnitConfig& unit, const SuiteInfo& info, int size) {
+  const int task = unit.tasks.front();
+  if (info.needs_libero) {
+    RS_RETURN_IF_ERROR(CheckLiberoTasks(unit));  // drawing takes seconds
+    std::fprintf(stderr, "%s: drawing task %d, the last is %d\n", info.name.c_str(), task,
+                 info.num_tasks - 1);
+  }
+  return RenderFirstFrame(unit, task, size);
+}
+
 // FOLDER/SUITE.svg of the suite that was asked for, of LIBERO's or of every embedded one.
 absl::Status WriteSheets(const CommandLine& line) {
   // Drawing takes minutes: what does not depend on it comes first.
@@ -150,15 +161,13 @@ absl::Status WriteSheets(const CommandLine& line) {
     if (info.robot != "panda") continue;
     const bool shown = line.libero || !line.folder_suites.empty();  // what needs LIBERO's files
     if (line.suite.empty() && info.needs_libero != shown) continue;
-    const UnitConfig unit = UnitOf(line, info);
+    UnitConfig unit = UnitOf(line, info);
     if (info.needs_libero) RS_RETURN_IF_ERROR(CheckLiberoFound(unit));
     std::vector<FirstFrame> frames(info.num_tasks);
     int drawn = 0;
     for (int task = 0; task < info.num_tasks; ++task) {
-      if (info.needs_libero)  // seconds each
-        std::fprintf(stderr, "%s: drawing task %d, the last is %d\n", info.name.c_str(), task,
-                     info.num_tasks - 1);
-      absl::StatusOr<FirstFrame> frame = RenderFirstFrame(unit, task, line.size);
+      unit.tasks = {task};
+      absl::StatusOr<FirstFrame> frame = DrawTask(unit, info, line.size);
       if (!frame.ok()) {
         if (absl::IsUnavailable(frame.status())) return frame.status();  // nothing can be drawn
         absl::StrAppend(&missing, "\n  ", info.name, " task ", task, ": ",

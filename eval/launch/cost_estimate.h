@@ -20,7 +20,7 @@ class CostModel {
  public:
   static constexpr double kExpertStep_s = 0.0012;
   static constexpr double kServedStep_s = 0.006;
-  static constexpr double kLiberoStep_s = 0.044, kLiberoPlainStep_s = 0.014,
+  static constexpr double kLiberoStep_s = 0.030, kLiberoPlainStep_s = 0.008,
                           kLiberoExpertStep_s = 0.003;
   static constexpr double kUpdateFactor = 1.4;
 

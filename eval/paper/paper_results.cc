@@ -241,8 +241,10 @@ std::vector<std::string> Notes(const PaperTable& table, const PaperProtocol& pro
   if (PolicyLabel(protocol.base) == kLiberoPolicy) {
     notes.push_back(
         "nano-libero has the graph of pi0 at a small fraction of its size: compare directions, not "
-        "levels.");
+        "levels. Learning rates and the gain control's factor are nano's, chosen on the embedded "
+        "suites; the paper's learning rate is 1e-6.");
   }
+  if (protocol.papers_rate) notes.push_back("Adapters learn at the paper's rate, 1e-6.");
   std::vector<std::string> missing;
   for (const PaperColumn& column : table.columns) {
     if (protocol.PolicyOf(column.role).empty()) missing.push_back(column.title);

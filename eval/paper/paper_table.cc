@@ -5,8 +5,12 @@
 #include <set>
 #include <tuple>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
+#include "common/embedded_policies.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "eval/paper/piper_tables.h"
@@ -18,6 +22,11 @@ constexpr PolicyRole kBase = PolicyRole::kBase;
 
 // The paper's learning rate (sec:setting); the presets hold the one chosen for nano.
 constexpr char kPaperLearningRate[] = "method.learning_rate=1e-6";
+
+bool Adapts(const std::string& method) {
+  const absl::StatusOr<MethodOptions> options = MakeMethod(method);
+  return options.ok() && options->adapts();
+}
 
 std::vector<std::string> Deployment() {
   return {"heavy_payload",     "thermal_drift_stribeck", "thermal_drift_backlash",
@@ -197,7 +206,7 @@ PaperProtocol FullProtocol() {
 
 PaperProtocol OnLibero(PaperProtocol protocol, const std::string& checkpoint) {
   for (std::string& suite : protocol.grid.suites) suite = LiberosSuite(suite);
-  protocol.grid.overrides.push_back(kPaperLearningRate);
+  protocol.papers_rate = PolicyLabel(checkpoint) != kLiberoPolicy;
   protocol.base = checkpoint;
   protocol.cloning.clear();
   protocol.randomised.clear();
@@ -255,6 +264,8 @@ absl::StatusOr<std::vector<SweepGrid>> PaperGrids(const PaperTable& table,
     grids.push_back(grid);
   }
   for (SweepGrid& grid : grids) {
+    if (protocol.papers_rate && absl::c_any_of(grid.methods, Adapts))  // the user's come after it
+      grid.overrides.insert(grid.overrides.begin(), kPaperLearningRate);
     RS_ASSIGN_OR_RETURN(grid, ResolveGrid(std::move(grid), home));
   }
   return grids;

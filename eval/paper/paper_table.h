@@ -54,6 +54,7 @@ absl::StatusOr<std::vector<PaperTable>> FindPaperTables(const std::vector<std::s
 struct PaperProtocol {
   SweepGrid grid;  // robot, suites, tasks, episodes, seeds, overrides, videos, LIBERO's folders
   std::string base = "nano", cloning = "nano-bc", randomised = "nano-dr", robust = "nano-robust";
+  bool papers_rate = false;  // methods that adapt learn at the paper's 1e-6, not at nano's rate
 
   // Empty when there are no such weights: the column is left out and named.
   const std::string& PolicyOf(PolicyRole role) const;
@@ -63,8 +64,8 @@ struct PaperProtocol {
 PaperProtocol QuickProtocol();
 // The paper's: four suites, all tasks, 20 episodes, three seeds.
 PaperProtocol FullProtocol();
-// The same on LIBERO's suites with the weights at `checkpoint`, at the paper's learning rate;
-// columns of other weights are left out until they are given.
+// The same on LIBERO's suites with the weights at `checkpoint`, at the paper's learning rate unless
+// they are nano-libero's; columns of other weights are left out until they are given.
 PaperProtocol OnLibero(PaperProtocol protocol, const std::string& checkpoint);
 
 // The grids that hold the table's units, resolved; together they name no unit twice. The

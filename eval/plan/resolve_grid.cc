@@ -14,6 +14,7 @@
 #include "common/config.h"
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/libero/bddl.h"
 #include "common/libero/fixtures.h"
 #include "common/libero/home.h"
 #include "common/libero/init_states.h"
@@ -216,15 +217,22 @@ bool NeedsLibero(const std::string& suite) {
   return info != nullptr && info->needs_libero;
 }
 
-absl::Status CheckStates(const SweepGrid& grid, const std::string& file) {
+// That its BDDL file can be read and that it has a stored state for each episode.
+absl::Status CheckTask(const SweepGrid& grid, const LiberoTaskFolder& folder,
+                       const std::string& task) {
+  RS_RETURN_IF_ERROR(libero::ReadBddl(absl::StrCat(folder.path, "/", task, ".bddl")).status());
+  const std::string file = InitialStatesOf(folder, task);
+  if (file.empty())
+    return absl::NotFoundError(
+        absl::StrCat(NoInitialStates(folder, task), "; leave it out with --tasks"));
   RS_ASSIGN_OR_RETURN(const libero::InitStates states, libero::ReadInitStates(file));
   return libero::CheckEpisodeRows(states, grid.first_initial_state, grid.episodes);
 }
 
 constexpr size_t kMostFaults = 5;  // said of a folder; LIBERO-90's ninety tasks may share one
 
-// That a policy's server will take the folder's name and every task that is played has stored
-// states, one for each episode, before a cluster waits for it.
+// That a policy's server will take the folder's name and every task that is played is there, before
+// a cluster waits for it.
 void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
   for (const std::string& path : grid.libero_tasks) {
     const absl::StatusOr<LiberoTaskFolder> folder = ReadLiberoTaskFolder(path);
@@ -235,15 +243,10 @@ void CheckTaskFolders(const SweepGrid& grid, Complaints& complaints) {
     std::vector<std::string> faults;
     for (int task = 0; task < static_cast<int>(folder->tasks.size()); ++task) {
       if (!grid.tasks.empty() && !absl::c_linear_search(grid.tasks, task)) continue;
-      const std::string file = InitialStatesOf(*folder, folder->tasks[task]);
-      const absl::Status states =
-          file.empty()
-              ? absl::NotFoundError(absl::StrCat(NoInitialStates(*folder, folder->tasks[task]),
-                                                 "; leave it out with --tasks"))
-              : CheckStates(grid, file);
-      if (!states.ok())
+      const absl::Status status = CheckTask(grid, *folder, folder->tasks[task]);
+      if (!status.ok())
         faults.push_back(absl::StrCat("task ", task, " of ", path, ", ", folder->tasks[task], ": ",
-                                      states.message()));
+                                      status.message()));
     }
     for (size_t i = 0; i < std::min(faults.size(), kMostFaults); ++i) complaints.Add(faults[i]);
     if (faults.size() > kMostFaults)

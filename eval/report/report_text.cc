@@ -182,8 +182,8 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
       "over initial states. +a/-b: episodes that only the method, only base, won.\n"
       "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against "
       "the unadapted policy's command; tracking: with\n"
-      "  the controller's steady gain in the scale. The paper's column: another policy "
-      "and other tasks.\n");
+      "  the controller's steady gain in the scale. The paper's column: another policy",
+      summary.papers_tasks ? "" : " and other tasks", ".\n");
   std::vector<std::string> notes = ServerNotes(run);
   notes.insert(notes.begin(),
                {UnlikeUnitsNote(run), LiberoFilesNote(run), MixedMachinesNote(run),

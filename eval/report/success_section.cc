@@ -221,8 +221,9 @@ std::string SuccessSection(const Summary& summary) {
       "from the same state",
       summary.noise_paired ? " with the same sampling noise (the null control has other noise)"
                            : ", with sampling noise of their own",
-      ". The paper's columns (tab:realistic) are for orientation "
-      "only: another policy, other tasks, 20 episodes on each of 40 tasks, three seeds.</p>\n");
+      ". The paper's columns (tab:realistic) are for orientation only: another policy, ",
+      summary.papers_tasks ? "" : "other tasks, ",
+      "20 episodes on each of 40 tasks, three seeds.</p>\n");
   return html;
 }
 

@@ -5,6 +5,7 @@
 #include <limits>
 #include <set>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "adapter/method_options.h"
@@ -263,6 +264,8 @@ Summary Summarise(const RunData& run, int bootstrap_replicates) {
   Summary summary;
   summary.replicates = bootstrap_replicates;
   summary.noise_paired = UnpairedNoiseNote(run).empty();
+  summary.papers_tasks = absl::c_all_of(
+      run.units, [](const UnitResult& unit) { return IsLiberosOwn(unit.config.suite); });
   std::set<std::pair<std::string, int>> groups;  // policy, severity
   std::map<std::string, std::set<int>> levels;   // of scenarios that have several
   const Units counted = CountedUnits(run);

@@ -98,7 +98,8 @@ struct Summary {
   std::vector<CurveSet> curves;
   int episodes = 0;
   int replicates = 0;
-  bool noise_paired = true;  // pairs share their sampling noise, too
+  bool noise_paired = true;   // pairs share their sampling noise, too
+  bool papers_tasks = false;  // every suite is one of LIBERO's four
 };
 
 Summary Summarise(const RunData& run, int bootstrap_replicates);

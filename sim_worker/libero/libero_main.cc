@@ -57,7 +57,7 @@ absl::Status RunHere(const std::vector<std::string>& command) {
   std::fflush(stdout);
   std::vector<std::string> started = command;
   if (!absl::StrContains(command[0], '/')) started.insert(started.begin(), "/usr/bin/env");
-  RS_ASSIGN_OR_RETURN(ChildProcess child, ChildProcess::Start(started, {}, "/proc/self/fd/1"));
+  RS_ASSIGN_OR_RETURN(ChildProcess child, ChildProcess::Start(started, {}, /*log_file=*/""));
   if (child.WaitForEnd().code == 0) return absl::OkStatus();
   return absl::UnavailableError(
       absl::StrCat("this failed, its message is above: ", text,

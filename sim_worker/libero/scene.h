@@ -11,7 +11,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 #include "sim_worker/libero/catalog.h"
 #include "sim_worker/panda_sim.h"
 

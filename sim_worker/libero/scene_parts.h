@@ -1,7 +1,7 @@
 #pragma once
 
 #include "absl/status/statusor.h"
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 #include "sim_worker/libero/catalog.h"
 #include "sim_worker/libero/mjcf.h"
 

@@ -17,7 +17,7 @@
 #include "common/atomic_file.h"
 #include "common/child_process.h"
 #include "common/status_macros.h"
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 #include "sim_worker/libero/scene.h"
 
 namespace robostress::libero {

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 #include "sim_worker/libero/catalog.h"
 
 namespace robostress::libero {

@@ -7,7 +7,7 @@
 #include "common/libero/init_states.h"
 #include "common/libero/task_folder.h"
 #include "common/status_macros.h"
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/task_doubts.h"

@@ -1,5 +1,5 @@
 // The reader of LIBERO's task files.
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 #include "tests/fuzz/fuzz_check.h"
 #include "tests/fuzz/splice_mutator.h"
 

@@ -110,4 +110,8 @@ std::string InitFile(int rows) {
   return Zip("archive/data.pkl", Pickle(std::vector<double>(rows), rows, 1));
 }
 
+std::string TaskFile(const std::string& problem) {
+  return "(define (problem " + problem + ") (:goal (On bowl plate)))";
+}
+
 }  // namespace robostress::libero

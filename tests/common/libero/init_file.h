@@ -18,6 +18,8 @@ std::string Pickle(const std::vector<double>& values, int rows, int columns);
 
 // A file of so many initial states, each of one number.
 std::string InitFile(int rows);
+// The text of the smallest BDDL file that can be read.
+std::string TaskFile(const std::string& problem);
 
 // NumPy's .npy of a float64 matrix, version 1, with this text for its shape.
 std::string Npy(const std::vector<double>& values, const std::string& shape,

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "eval/paper/paper_programs.h"
 #include "eval/paper/paper_results.h"
@@ -127,6 +128,37 @@ TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
     EXPECT_EQ(unit.config.suite.rfind("libero_", 0), 0u);
     const auto* lora = unit.config.method->Find<LoraOptions>();
     EXPECT_EQ(lora == nullptr ? 1e-6 : lora->learning_rate, 1e-6);
+  }
+  // A rate given by hand comes after it; a table of base alone has nothing that learns.
+  protocol.grid.overrides = {"method.learning_rate=1e-5"};
+  const auto by_hand = PaperGrids(*FindPaperTable("main"), protocol, PolicyHome::kElsewhere);
+  ASSERT_TRUE(by_hand.ok()) << by_hand.status();
+  const std::vector<PlannedUnit> units_by_hand = PaperUnits(*by_hand).value();
+  bool adapts = false;
+  for (const PlannedUnit& unit : units_by_hand) {
+    const auto* lora = unit.config.method->Find<LoraOptions>();
+    adapts |= lora != nullptr;
+    EXPECT_EQ(lora == nullptr ? 1e-5 : lora->learning_rate, 1e-5);
+  }
+  EXPECT_TRUE(adapts);
+  protocol.grid.overrides.clear();
+  for (const char* table : {"residual", "severity", "noise"}) {
+    EXPECT_TRUE(PaperGrids(*FindPaperTable(table), protocol, PolicyHome::kElsewhere).ok()) << table;
+  }
+}
+
+TEST(PaperPlan, OurPolicyOfLiberosSuitesLearnsAtItsOwnRate) {
+  PaperProtocol protocol = OnLibero(FullProtocol(), "nano-libero");
+  protocol.grid.libero_root = protocol.grid.robosuite_root = "/libero";
+  const auto grids = PaperGrids(*FindPaperTable("main"), protocol, PolicyHome::kElsewhere);
+  ASSERT_TRUE(grids.ok()) << grids.status();
+  const std::vector<PlannedUnit> units = PaperUnits(*grids).value();
+  EXPECT_FALSE(units.empty());
+  for (const PlannedUnit& unit : units) {
+    if (const auto* lora = unit.config.method->Find<LoraOptions>()) {
+      EXPECT_EQ(lora->learning_rate,
+                MakeMethod(unit.config.method->method)->Find<LoraOptions>()->learning_rate);
+    }
   }
 }
 

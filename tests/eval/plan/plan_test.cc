@@ -338,7 +338,9 @@ TEST(Plan, FaultsThatAllTasksOfAFolderShareAreSaidInAFewLines) {
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
   for (int i = 0; i < 9; ++i) {
-    ASSERT_TRUE(WriteFileAtomically(absl::StrCat(folder.string(), "/", i, ".bddl"), "").ok());
+    ASSERT_TRUE(
+        WriteFileAtomically(absl::StrCat(folder.string(), "/", i, ".bddl"), libero::TaskFile("p"))
+            .ok());
     WriteStates(folder / absl::StrCat(i, ".init"), 3);
   }
   SweepGrid grid;
@@ -360,7 +362,7 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
   for (const char* task : {"a.bddl", "b.bddl"})
-    ASSERT_TRUE(WriteFileAtomically((folder / task).string(), "").ok());
+    ASSERT_TRUE(WriteFileAtomically((folder / task).string(), libero::TaskFile("p")).ok());
   WriteStates(folder / "a.pruned_init", 70);
   SweepGrid grid;
   grid.policies = {"expert"};
@@ -388,6 +390,14 @@ TEST(Plan, AFolderOfTasksIsASuite) {
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
               AllOf(HasSubstr("task 1 of " + folder.string()), HasSubstr("b.init: 0 bytes")));
   WriteStates(folder / "b.init", 70);
+  ASSERT_TRUE(WriteFileAtomically((folder / "b.bddl").string(), "(define (problem p)").ok());
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr("task 1 of " + folder.string() + ", b: "), HasSubstr("b.bddl:1: "),
+                    Not(HasSubstr("task 0"))));
+  grid.tasks = {0};
+  EXPECT_TRUE(ResolveGrid(grid).ok()) << "it is not played";
+  grid.tasks = {};
+  ASSERT_TRUE(WriteFileAtomically((folder / "b.bddl").string(), libero::TaskFile("p")).ok());
   grid.episodes = SweepGrid().episodes;
   grid.first_initial_state = 0;
   std::vector<PlannedUnit> units = Plan(grid);

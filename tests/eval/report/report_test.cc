@@ -106,6 +106,21 @@ TEST(Averages, OfOtherScenariosDoNotStandBesideEachOther) {
   EXPECT_THAT(Conclusion(Summarise(run, 100).tables[0]), HasSubstr("6 to 8 episodes a method"));
 }
 
+TEST(Report, ThePapersColumnIsOfTheSameTasksOnLibero) {
+  RunData run = SmallRun();
+  const auto said = [&run] {
+    const Summary summary = Summarise(run, 100);
+    return TerminalTable(run, summary) + ReportPage(run, summary, {});
+  };
+  EXPECT_THAT(said(), AllOf(HasSubstr("column: another policy and other tasks."),
+                            HasSubstr("only: another policy, other tasks, 20 episodes")));
+  for (UnitResult& unit : run.units) unit.config.suite = "libero_goal";
+  EXPECT_THAT(said(), AllOf(HasSubstr("column: another policy.\n"),
+                            HasSubstr("only: another policy, 20 episodes")));
+  run.units.back().config.suite = "tabletop_goal";
+  EXPECT_THAT(said(), HasSubstr("another policy and other tasks"));
+}
+
 TEST(ReportPage, RefersToNothingOutsideItself) {
   const RunData run = SmallRun();
   const std::string page = ReportPage(run, Summarise(run, 100), {});

@@ -109,7 +109,7 @@ class KeptTasks : public KeptScenario {
  protected:
   void SetUp() override {
     fs::create_directories(tasks_);
-    Write(name_ + "/put_it_there.bddl", "(define (problem first))");
+    Write(name_ + "/put_it_there.bddl", libero::TaskFile("first"));
     Write(name_ + "/put_it_there.pruned_init", libero::InitFile(3));
     SweepGrid grid = ExpertGrid("somewhere");
     grid.libero_tasks = {tasks_};
@@ -142,9 +142,9 @@ TEST_F(KeptTasks, OtherTasksDoNotJoinThoseThatWerePlayed) {
 
 TEST_F(KeptTasks, AUnitDoesNotGoOnInOtherTasks) {
   EXPECT_FALSE(Play(1).ok());
-  Write(name_ + "/put_it_there.bddl", "(define (problem second))");
+  Write(name_ + "/put_it_there.bddl", libero::TaskFile("second"));
   EXPECT_THAT(std::string(Play(3).message()), HasSubstr(tasks_ + " has changed since "));
-  Write(name_ + "/put_it_there.bddl", "(define (problem first))");
+  Write(name_ + "/put_it_there.bddl", libero::TaskFile("first"));
   EXPECT_TRUE(Play(3).ok());
 }
 
@@ -152,7 +152,7 @@ TEST_F(KeptTasks, AUnitDoesNotGoOnInOtherTasks) {
 TEST_F(KeptTasks, TheWorkerRefusesOtherTasksToo) {
   EXPECT_FALSE(Play(1).ok());
   const std::vector<PlannedUnit> units = *ExpandUnits(grid_);
-  Write(name_ + "/put_it_there.bddl", "(define (problem second))");
+  Write(name_ + "/put_it_there.bddl", libero::TaskFile("second"));
   UnitRunOptions options;
   options.out = run_.Unit(units[0].id);
   ShortPlayer player(3);
@@ -162,7 +162,7 @@ TEST_F(KeptTasks, TheWorkerRefusesOtherTasksToo) {
 
 TEST_F(KeptTasks, AUnitThatPlayedNothingYetIsPlayedInWhatIsThereNow) {
   EXPECT_FALSE(Play(0).ok());
-  Write(name_ + "/put_it_there.bddl", "(define (problem second))");
+  Write(name_ + "/put_it_there.bddl", libero::TaskFile("second"));
   EXPECT_TRUE(Play(3).ok());
 }
 
@@ -171,7 +171,7 @@ class KeptLibero : public KeptScenario {
  protected:
   void SetUp() override {
     fs::create_directories(tasks_);
-    Write("libero/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem first))");
+    Write("libero/bddl_files/libero_goal/turn_on_the_stove.bddl", libero::TaskFile("first"));
     SweepGrid grid = ExpertGrid(folder_ + "/libero");
     grid.suites = {"libero_goal"};
     grid_ = *ResolveGrid(grid);
@@ -187,7 +187,7 @@ TEST_F(KeptLibero, OtherTasksDoNotJoinThoseThatWerePlayed) {
   fs::rename(folder_ + "/libero", folder_ + "/elsewhere");
   EXPECT_TRUE(run_.CheckStarted(more, *ExpandUnits(more)).ok()) << "as on a planner without them";
   fs::rename(folder_ + "/elsewhere", folder_ + "/libero");
-  Write("libero/bddl_files/libero_goal/turn_on_the_stove.bddl", "(define (problem second))");
+  Write("libero/bddl_files/libero_goal/turn_on_the_stove.bddl", libero::TaskFile("second"));
   EXPECT_THAT(std::string(run_.CheckStarted(more, *ExpandUnits(more)).message()),
               AllOf(HasSubstr("LIBERO's libero_goal has changed since "), HasSubstr("restore it")));
   more.seeds = {1};

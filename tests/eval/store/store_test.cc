@@ -183,7 +183,7 @@ TEST_F(Store, RunsOfATaskFolderAreReadWithAndWithoutIt) {
   const std::string tasks = folder_ + "/my_tasks";
   fs::create_directories(tasks);
   for (const char* name : {"one", "two"}) {
-    Write(absl::StrCat("my_tasks/", name, ".bddl"), "");
+    Write(absl::StrCat("my_tasks/", name, ".bddl"), libero::TaskFile(name));
     Write(absl::StrCat("my_tasks/", name, ".init"), libero::InitFile(2));
   }
   ASSERT_EQ(Run("sweep", "--libero-tasks '" + tasks +

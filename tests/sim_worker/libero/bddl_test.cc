@@ -1,4 +1,4 @@
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 
 #include <gmock/gmock.h>
 

@@ -278,6 +278,21 @@ else
   EXPECT_THAT(refused, HasSubstr("give another folder in XDG_DATA_HOME"));
 }
 
+TEST_F(LiberoSetup, ALogHoldsWhatAFailedInstallationSaid) {
+  const std::string python = Write("python", "#!/bin/sh\necho no venv here >&2\nexit 1\n");
+  fs::permissions(python, fs::perms::owner_all);
+  const std::string log = (folder_ / "log").string();
+  const auto said = [&](const std::string& with) {
+    RunProgram(BIN_DIR "/robostress-libero",
+               absl::StrCat("setup --install --python ", with, " > ", log));
+    return ReadFile(log).value_or("");
+  };
+  EXPECT_THAT(said(python), ::testing::ContainsRegex("\\+ .*\nno venv here\n(.|\n)*this failed"));
+  EXPECT_THAT(said("/nowhere/python"),
+              AllOf(HasSubstr("cannot run /nowhere/python: No such file or directory\n"),
+                    HasSubstr("this failed, its message is above")));
+}
+
 TEST_F(LiberoSetup, ASheetShowsTheTasksThatCanBeDrawn) {
   SKIP_WITHOUT_SHARED_DATA();
   const fs::path libero = fs::path(LiberoTree()) / "libero/libero", tasks = folder_ / "tasks";
@@ -293,7 +308,8 @@ TEST_F(LiberoSetup, ASheetShowsTheTasksThatCanBeDrawn) {
   const auto [output, code] = suites("--size 16 --sheet " + (folder_ / "sheets").string());
   if (absl::StrContains(output, "EGL")) GTEST_SKIP() << output;
   EXPECT_EQ(code, 1) << output;
-  EXPECT_THAT(output, HasSubstr("suites: not drawn:\n  tasks task 0: "));
+  EXPECT_THAT(output, AllOf(HasSubstr("suites: not drawn:\n  tasks task 0: "),
+                            HasSubstr("drawing task 1"), Not(HasSubstr("drawing task 0"))));
   const std::string svg = ReadFile((folder_ / "sheets/tasks.svg").string()).value_or("");
   EXPECT_THAT(svg, AllOf(HasSubstr(">drawn<"), HasSubstr(">plate<")));
   const auto [refused, refusal] =

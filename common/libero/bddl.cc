@@ -1,4 +1,4 @@
-#include "sim_worker/libero/bddl.h"
+#include "common/libero/bddl.h"
 
 #include <algorithm>
 #include <cctype>
@@ -18,9 +18,9 @@
 namespace robostress::libero {
 namespace {
 
-constexpr double kFarthest = 100;      // [m] of a region; LIBERO's lie within 1
-constexpr int kMaxDepth = 32;          // LIBERO's files nest 5 deep
-constexpr size_t kMaxBytes = 1 << 16;  // LIBERO's largest file has 5 kB
+constexpr double kFarthest = 100;          // [m] of a region; LIBERO's lie within 1
+constexpr int kMaxDepth = 32;              // LIBERO's files nest 5 deep
+constexpr size_t kMaxFileBytes = 1 << 16;  // LIBERO's largest file has 5 kB
 
 // An s-expression: a word, or a list of s-expressions.
 struct Node {
@@ -397,9 +397,9 @@ const BddlRegion* BddlProblem::FindRegion(std::string_view region_name) const {
 }
 
 absl::StatusOr<BddlProblem> ParseBddl(const std::string& file, std::string_view text) {
-  if (text.size() > kMaxBytes) {
+  if (text.size() > kMaxFileBytes) {
     return absl::InvalidArgumentError(
-        absl::StrCat(file, ": ", text.size(), " bytes, a BDDL file has at most ", kMaxBytes));
+        absl::StrCat(file, ": ", text.size(), " bytes, a BDDL file has at most ", kMaxFileBytes));
   }
   Parser parser(file, text);
   RS_ASSIGN_OR_RETURN(Node root, parser.Parse());
