@@ -16,8 +16,8 @@
 #include "absl/strings/strip.h"
 #include "common/atomic_file.h"
 #include "common/child_process.h"
-#include "common/status_macros.h"
 #include "common/libero/bddl.h"
+#include "common/status_macros.h"
 #include "sim_worker/libero/scene.h"
 
 namespace robostress::libero {

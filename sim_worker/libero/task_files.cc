@@ -3,11 +3,11 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "common/libero/bddl.h"
 #include "common/libero/fixtures.h"
 #include "common/libero/init_states.h"
 #include "common/libero/task_folder.h"
 #include "common/status_macros.h"
-#include "common/libero/bddl.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/task_doubts.h"
