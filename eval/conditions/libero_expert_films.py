@@ -6,24 +6,20 @@
 The films: OUT/SUITE-TASK-STATE.webp. What is there is not drawn again. They show LIBERO's objects, so none is kept here.
 """
 
-import json
 import pathlib
 import shutil
 import subprocess
 import sys
 
-KEPT = pathlib.Path(__file__).resolve().parents[1] / "docs" / "libero-experts"
+DOCS = pathlib.Path(__file__).resolve().parents[1] / "docs"
+sys.path.append(str(DOCS))
+from libero_tables import part_of  # noqa: E402
 
 
 def failures():
     """(suite, task, state) of each."""
-    for file in sorted(KEPT.glob("*.jsonl")):
-        for line in file.read_text().splitlines():
-            unit = json.loads(line)
-            for task, outcomes in zip(unit["tasks"], unit["outcomes"]):
-                for i, outcome in enumerate(outcomes):
-                    if outcome == "0":
-                        yield unit["suite"], task, unit["first_initial_state"] + i
+    for (suite, task), outcomes in part_of(DOCS, "libero-experts", "states")["clean", 5].items():
+        yield from ((suite, task, state) for (_, state), outcome in outcomes.items() if not outcome)
 
 
 def main():
